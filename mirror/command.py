@@ -36,7 +36,7 @@ CLOSED_PIPE: Final = 141
 
 
 def run_command(command: str, work: Callable[[], int], words: Sequence[str] = (), *, as_json: bool = False) -> int:
-    """Do a command's work in this process, which may do something else afterwards.
+    """Do a command's work in a process that may go on afterwards, and return the exit code.
 
     Args:
         command: as it is typed, for messages.

@@ -85,7 +85,7 @@ def parse_arguments(
 
 
 def help_text(*, default: str | None = None, metavar: str | None = None) -> Any:
-    """Return an option's text in the help, for `typing.Annotated`.
+    """Return the annotation of an option for its help text, for `typing.Annotated`.
 
     Args:
         default: the default in words, for an option that may be left out and has no value of its own then.

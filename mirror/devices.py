@@ -40,7 +40,7 @@ class Device:
 
     @property
     def is_cuda(self) -> bool:
-        """Return whether it is a GPU."""
+        """Return whether the device is a GPU."""
         return self.name != CPU
 
     def __str__(self) -> str:
@@ -85,7 +85,7 @@ def resolve_device(requested: str, *, splats: bool = False) -> Device:
 
 
 def choose_device(requested: str, subject: str, *, takes_device: bool, splats: bool = False) -> Device:
-    """Choose the device of a plug-in, which may take none; see `resolve_device`.
+    """Choose the device of a plug-in, or the CPU if the plug-in supports no choice; see `resolve_device`.
 
     Args:
         requested: the value of ``--device``.
@@ -107,7 +107,7 @@ def choose_device(requested: str, subject: str, *, takes_device: bool, splats: b
 
 
 def require_memory(device: Device, needed_bytes: int, remedy: str) -> None:
-    """Require that a GPU has as much free memory as a computation is estimated to need; a CPU is not asked.
+    """Require that a GPU has as much free memory as a computation is estimated to need; a CPU is not checked.
 
     Raises:
         DatasetError: it has less.

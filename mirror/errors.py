@@ -105,6 +105,6 @@ class UnwritableError(DatasetError):
     """A file cannot be written where it belongs."""
 
     def name_option(self, option: str) -> None:
-        """Add to the remedy the option by which another place is chosen."""
+        """Add to the remedy the option that chooses another place."""
         if self.remedy is not None and f"{ANOTHER_PLACE} with" not in self.remedy:
             self.remedy = self.remedy.replace(ANOTHER_PLACE, f"{ANOTHER_PLACE} with {option}")

@@ -63,7 +63,7 @@ class GuardedPool(Generic[Item, Result]):
             slot.end()
 
     def map(self, items: Sequence[Item]) -> Iterator[tuple[int, Result | Failure]]:
-        """Yield the number of each item with its result, in the order in which they are done.
+        """Yield the number of each item with its result, in the order of completion.
 
         Args:
             items: each is sent to a worker when it is its turn, so that memory stays bounded.

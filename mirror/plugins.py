@@ -29,7 +29,7 @@ _loaded: Final[dict[str, str]] = {}
 
 @dataclass(frozen=True)
 class PluginKind:
-    """A kind of plug-in, and the registry of those that are installed.
+    """A kind of plug-in, with the registry of the installed ones.
 
     Attributes:
         noun: name of the kind in messages, such as ``method``.
@@ -206,7 +206,7 @@ class PluginKind:
 
 
 def list_parts(interface: type) -> set[str]:
-    """Return the names of a protocol's attributes and functions, also of those that it inherits from."""
+    """Return the names of a protocol's attributes and functions, inherited ones included."""
     classes = [one for one in interface.__mro__ if getattr(one, "_is_protocol", False) and one.__name__ != "Protocol"]
     return {name for one in classes for name in {*vars(one), *one.__annotations__} if not name.startswith("_")}
 
@@ -217,7 +217,7 @@ def installed_entries(group: str) -> tuple[EntryPoint, ...]:
 
 
 def find_near_name(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name that resembles another one most; None: none does."""
+    """Return the known name that most resembles a given one; None if none is similar."""
     import difflib
 
     return next(iter(difflib.get_close_matches(name, list(known), n=1)), None)

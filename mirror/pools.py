@@ -99,7 +99,7 @@ def end_with_parent() -> None:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Keep Ctrl-C from the block, and from the processes that it starts; it is heard afterwards.
+    """Keep Ctrl-C from the block and from the processes that it starts; it takes effect after the block.
 
     A process that starts inherits which signals are held back, from before its first instruction on. One whose parent
     is interrupted while it hands over the worker's arguments would print an error.
@@ -138,7 +138,7 @@ def _held_back() -> Iterator[None]:
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Give the libraries of processes that the block starts one thread each."""
+    """Limit the libraries of processes that the block starts to one thread each."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     try:

@@ -32,14 +32,14 @@ _SHOW_CURSOR: Final = b"\x1b[?25h"
 
 
 def interrupted(command: str) -> str:
-    """Say that a command was interrupted; of one that serves until it is stopped, that it was stopped."""
+    """Say that a command was interrupted, or, if it serves until it is stopped, that it was stopped."""
     is_server = command.split()[1:2] in (["view"], ["serve"])
     return f"{command}: stopped" if is_server else f"{command}: interrupted: run the same command again"
 
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Treat SIGTERM as Ctrl-C while the block runs; only in the main thread, as no other hears signals."""
+    """Treat SIGTERM as Ctrl-C while the block runs; without effect outside the main thread."""
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
@@ -105,7 +105,7 @@ class Stops:
         return self._asked or self._noticed.is_set()
 
     def listen(self) -> None:
-        """Hear signals from now on, to the end of the process."""
+        """Handle signals from now on, to the end of the process."""
         for number in (signal.SIGINT, signal.SIGTERM):
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._on_signal)
@@ -186,7 +186,7 @@ class Stops:
 
 
 def run_process(command: str, run: Callable[[], int]) -> int:
-    """Do a command's work as all that this process does: signals end it, see `Stops`.
+    """Do a command's work as the only work of this process, which signals end; see `Stops`.
 
     Args:
         command: as it is typed, for messages.

@@ -44,7 +44,7 @@ _Key = tuple[str, str, str | None, tuple[str, ...] | None, _Options]
 
 @dataclass(frozen=True)
 class Board:
-    """Comparable entries: those of one protocol and one set of data.
+    """Comparable entries: the entries of one protocol and one set of data.
 
     Attributes:
         protocol: name of the protocol.
@@ -125,7 +125,7 @@ class Board:
 
 
 def make_boards(entries: Iterable[Entry]) -> list[Board]:
-    """Group entries into boards, in the order of protocols: measured ones, older versions of them, then papers."""
+    """Group entries into boards by protocol: first measured entries, then older versions, then figures from papers."""
     groups: dict[_Key, list[Entry]] = {}
     for entry in entries:
         groups.setdefault(_board_key(entry), []).append(entry)

@@ -124,7 +124,7 @@ class Reported(Document):
 
 
 class Cluster(Document):
-    """The figure that ranks in one cluster: a scene, or a scenario in a scene.
+    """The ranking figure's mean in one cluster: a scene, or a scenario in a scene.
 
     Attributes:
         key: the scene, or ``SCENE, SCENARIO``.
@@ -216,7 +216,7 @@ class Measured(Document):
     signature: Signature | None = Field(default=None, exclude_if=lambda signature: signature is None)
 
     def sealed(self) -> Measured:
-        """Return a copy with its seal, which nobody has signed."""
+        """Return a copy with its seal and without a signature."""
         return self.model_copy(update={"seal": self.content_hash, **dict.fromkeys(_SIGNATURE)})
 
     @property

@@ -50,7 +50,7 @@ class OrganiserKey(Document):
         return self
 
     def counts_on(self, day: date) -> bool:
-        """Return whether a signature of a day counts."""
+        """Return whether a signature made on a day counts."""
         return self.since <= day and (self.until is None or day <= self.until)
 
 

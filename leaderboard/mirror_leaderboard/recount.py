@@ -24,7 +24,7 @@ _MAX_BYTES: Final = 1 << 30
 
 
 def require_recomputed_means(result: Result, path: Path) -> None:
-    """Compare every mean over images, also those of clusters, with the table of images.
+    """Compare every mean over images, also the means of clusters, with the table of images.
 
     Figures of whole sets, such as FID, cannot be computed from the table.
 

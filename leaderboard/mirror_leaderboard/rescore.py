@@ -56,7 +56,7 @@ class RolloutPlan:
 
 @dataclass(frozen=True)
 class Sources:
-    """The data that an organiser holds a result against.
+    """The data that an organiser compares a result with.
 
     Attributes:
         dataset: folder or URL of the dataset with the truth; for the protocol safety, the folder of the rollouts.
@@ -127,7 +127,7 @@ def rescore(result: Result, path: Path, sources: Sources, progress: ProgressRepo
 
 
 def require_plan(result: Result, path: Path, dataset: str) -> None:
-    """Hold views, metrics, weights, counts, means, intervals and warnings of a result against its dataset's plan.
+    """Require that views, metrics, weights, counts, means, intervals and warnings agree with the dataset's plan.
 
     The scores of single images are taken from the table beside the result: only `rescore` shows that they are true.
 
@@ -232,7 +232,7 @@ def _stated_inputs(
 
 
 def require_equal(place: str, stated: object, expected: object, path: Path) -> None:
-    """Require that a result equals that of the evaluation here.
+    """Require that a result equals the result of the evaluation here.
 
     Raises:
         RefusedError: it states something else.
@@ -248,7 +248,7 @@ def require_equal(place: str, stated: object, expected: object, path: Path) -> N
 
 
 def require_equal_figures(stated: Sequence[GroupFigure], expected: Sequence[GroupFigure], path: Path) -> None:
-    """Require that a result's figures equal those of the evaluation here, to 1e-9.
+    """Require that a result's figures equal the figures of the evaluation here, to 1e-9.
 
     Raises:
         RefusedError: a figure differs, is missing, or was not found.

@@ -72,12 +72,12 @@ def encode_public_key(key: Ed25519PublicKey) -> str:
 
 
 def sign(key: Ed25519PrivateKey, content: bytes) -> str:
-    """Sign bytes; base64."""
+    """Sign bytes, and return the signature in base64."""
     return base64.b64encode(key.sign(content)).decode()
 
 
 def is_signed(key: Ed25519PublicKey, content: bytes, signature: str) -> bool:
-    """Return whether a signature is the key owner's, of these bytes."""
+    """Return whether a signature of these bytes was made by the owner of a key."""
     from cryptography.exceptions import InvalidSignature
 
     try:

@@ -86,7 +86,7 @@ def read_box_layer(dataset: Dataset, layer: str) -> dict[str, list[Detections]]:
 
 
 def ego_poses_at(dataset: Dataset, traversal_id: str, frames: Sequence[Detections]) -> Poses:
-    """Return the poses of the vehicle in the world at the times of frames; a traversal without images has none of them.
+    """Return the poses of the vehicle in the world at the times of frames; no frames give no poses.
 
     Raises:
         DatasetError: there are boxes but no images.

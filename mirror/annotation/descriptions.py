@@ -36,7 +36,7 @@ _LEAST_SCORE: Final = 0.3
 
 @dataclass(frozen=True)
 class Description:
-    """The description of a frame: what the sun, the recording and its boxes say of it.
+    """The description of a frame, from the sun's position, the recording and its boxes.
 
     Attributes:
         text: a caption; it may be empty.

@@ -96,7 +96,7 @@ def to_detections(boxes: Sequence[Mapping[str, Any]], timestamp_ns: int, world_S
 
 
 def to_boxes(detections: Detections, token: str, world_SE3_ego: Poses) -> list[dict[str, Any]]:
-    """Convert the boxes of one frame to those of a results file."""
+    """Convert the boxes of one frame to boxes of a results file."""
     pose = world_SE3_ego @ detections.ego_SE3_box
     if not len(detections):
         return []

@@ -42,7 +42,7 @@ class FrameRank:
 
     @property
     def order(self) -> tuple[float, int, str, int]:
-        """Sorts the worst frame first: disagreement and breaks, then doubt. A shift of a tenth counts as a box."""
+        """Sort key that puts the worst frame first: disagreement and breaks, then doubt; 0.1 of shift equals a box."""
         badness = self.unmatched + self.breaks + 0.1 * self.unsure + 10.0 * self.shift
         return (-badness, -self.boxes, self.traversal_id, self.timestamp_ns)
 

@@ -93,7 +93,7 @@ class JointProblem:
 
     @cached_property
     def prior_information(self) -> Float64:
-        """Information matrix (P, P) of the priors of all unknowns; those of the rotations are nearly zero."""
+        """Information matrix (P, P) of the priors of all unknowns; the information of the rotations is nearly zero."""
         frames, count = len(self.rig.time_s), len(self.rig.cameras)
         matrix = np.zeros((self.size, self.size))
         positions = self.prior.position_information(self.rig.time_s)
@@ -113,7 +113,7 @@ class JointProblem:
 
     @property
     def scale_column(self) -> int:
-        """Position of the first focal length's scale among the unknowns; that of the way is the last unknown."""
+        """Position of the first focal length's scale among the unknowns; the scale of the way is the last unknown."""
         return _POSE * (len(self.rig.time_s) + len(self.rig.cameras))
 
     @property
@@ -261,7 +261,7 @@ class JointProblem:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """The normal equations of P unknowns at some values of them.
+    """The normal equations of P unknowns, linearised at some values of the unknowns.
 
     Attributes:
         information: (P, P) matrix of second derivatives, priors included.

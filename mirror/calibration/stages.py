@@ -46,7 +46,7 @@ class StageDifference:
 
     @property
     def is_jump(self) -> bool:
-        """Return whether it is a step in time that is larger than a stage may make unexplained."""
+        """Return whether the difference is between rows of one stage and above the limit of an unexplained change."""
         return self.first == self.second and (self.angle_deg > JUMP_DEG or self.distance_cm > JUMP_CM)
 
 
@@ -66,7 +66,7 @@ class StageHistory:
 
 
 def compare_stages(dataset: Dataset) -> StageHistory:
-    """Compare the recorded calibrations of a dataset, and those of its calibration layers.
+    """Compare the recorded calibrations of a dataset with each other and with its calibration layers.
 
     Traversals of one drive hold the same rows; they count once. Rows of one stage in time order give the jumps: within
     a drive, and from drive to drive of a vehicle.

@@ -98,7 +98,7 @@ class TrackedImage:
 
     @cached_property
     def smooth(self) -> Float32:
-        """(H, W) pixels smoothed by a Gaussian of 0.8 px: bilinear interpolation of them has less bias."""
+        """(H, W) pixels smoothed by a Gaussian of 0.8 px, so that bilinear interpolation has less bias."""
         import cv2
 
         return np.asarray(cv2.GaussianBlur(self.grey.astype(np.float32), (0, 0), 0.8), np.float32)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TriggerArguments:
-    """Thresholds at which a pass becomes a traversal. Defaults: those of the dataset, or of the paper."""
+    """Thresholds at which a pass becomes a traversal. Defaults: the dataset's, or the paper's."""
 
     min_duration_s: Annotated[float | None, help_text(default="10")] = None
     """Shortest duration of a traversal."""

@@ -17,7 +17,7 @@ from mirror.schema.finished_work import hash_values
 
 
 class ContentHashes:
-    """Hashes of files of one dataset, computed from their bytes; videos, rigs and manifests are read once.
+    """Hashes of the files of one dataset, from their bytes; videos, rigs and manifests are read once.
 
     Args:
         store: the dataset.
@@ -36,7 +36,7 @@ class ContentHashes:
         return hash_values(self.image_bytes(vars(image)), image.video_pts)
 
     def image_bytes(self, row: Mapping[str, Any]) -> str:
-        """Hash the bytes of an image; those of a frame of a video are the whole video.
+        """Hash the bytes of an image; for a frame of a video, the bytes of the whole video.
 
         The bytes of an image outside of the dataset, whose row has their hash, are not read: fetching them again may
         cost as much as the work that is saved.

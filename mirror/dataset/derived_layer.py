@@ -95,7 +95,7 @@ class DerivedLayer:
 
 
 def find_missing(layers: Iterable[DerivedLayer]) -> tuple[list[str], list[str]]:
-    """Return the ids of the traversals whose layer is missing, and of those that have it.
+    """Return the ids of traversals without the layer, and the ids of traversals with it.
 
     Raises:
         DatasetError: a traversal has the layer, made from other inputs.

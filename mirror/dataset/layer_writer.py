@@ -154,7 +154,7 @@ class LayerWriter:
 
 
 def remove_layer(folder: Path) -> None:
-    """Remove a layer that an interrupted run left; from the first moment on it is no layer.
+    """Remove a layer that an interrupted run left; its manifest goes first, so that it no longer counts as a layer.
 
     The caller holds the dataset's writer lock.
 

@@ -75,7 +75,7 @@ class Layout:
         return self.root / MAPS / scene_id
 
     def layers(self, traversal_id: str) -> list[tuple[str, str, str]]:
-        """Complete layers of a traversal as ``(kind, source, version)``, sorted."""
+        """Return the complete layers of a traversal as ``(kind, source, version)``, sorted."""
         found = []
         for kind in _folders(self.traversal(traversal_id) / "layers"):
             for folder in _complete(kind):

@@ -15,7 +15,7 @@ REDACTION: Final = "redaction"
 
 
 def newest_redaction(layers: Iterable[tuple[str, str, str]]) -> tuple[str, str] | None:
-    """Return the redaction layer that replaces the recorded images: that of the newest version; None: there is none.
+    """Return the newest redaction layer, which replaces the recorded images; None if there is none.
 
     Args:
         layers: kind, source and version of a traversal's layers.

@@ -41,7 +41,7 @@ class RowIndex:
         return float(np.median(np.diff(self.distinct))) if len(self.distinct) > 1 else 0.0
 
     def nearest(self, value: int) -> int | None:
-        """Return the value that is nearest to another, the smaller of two; None if there is none."""
+        """Return the value that is nearest to a number, the smaller one on a tie; None if there are no values."""
         place = int(np.searchsorted(self.distinct, value))
         near = self.distinct[max(place - 1, 0) : place + 1]
         return int(near[np.argmin(np.abs(near - value))]) if len(near) else None

@@ -35,7 +35,7 @@ def work_folder(layout: Layout, verb: str, layer: str, inputs: str) -> Path:
 
 
 def remove_work(folder: Path) -> None:
-    """Remove the folder of one run whose layers are complete, and that of the verb if no other run left work in it.
+    """Remove the folder of a run whose layers are complete, and the verb's folder if it holds no other work.
 
     What cannot be removed stays: another run that found all layers complete may remove the folder at the same time.
 

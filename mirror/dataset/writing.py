@@ -45,7 +45,7 @@ def open_to_write(path: str | os.PathLike[str]) -> Dataset:
 
 @contextmanager
 def naming_option(root: Path, option: str) -> Iterator[None]:
-    """Name the option by which a verb writes elsewhere, where a file of the dataset cannot be written in the block.
+    """Add an option to errors about dataset files that the block cannot write, as the way to write elsewhere.
 
     Args:
         root: folder of the dataset.
@@ -64,7 +64,7 @@ def naming_option(root: Path, option: str) -> Iterator[None]:
 
 @contextmanager
 def writing_layers(layout: Layout, *, wait: bool = False) -> Iterator[None]:
-    """Hold the dataset's writer lock while layers are written; then the index has those that are complete.
+    """Hold the dataset's writer lock while layers are written, and index the complete layers at the end.
 
     That holds also where the block ends with an error or Ctrl-C: the next command finds a valid index.
 

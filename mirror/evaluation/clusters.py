@@ -18,7 +18,7 @@ _KEYS: Final = ("group", "scene_id", "traversal_id")
 
 
 def compute_clusters(protocol: Protocol, rows: Sequence[Mapping[str, Any]]) -> tuple[ClusterMean, ...]:
-    """Compute the means of the figure that ranks in each scene, or in each scenario of a scene for rollouts.
+    """Compute the means of the ranking figure in each scene, or for rollouts in each scenario of a scene.
 
     Args:
         protocol: the protocol, with its ranking key and its averaging.

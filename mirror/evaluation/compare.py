@@ -81,7 +81,7 @@ class ResultComparison:
 
 
 def compare(paths: Sequence[Path]) -> tuple[Result, list[ResultComparison]]:
-    """Compare results with the first of them.
+    """Compare the first result with each of the others.
 
     Args:
         paths: two or more result files or their folders.

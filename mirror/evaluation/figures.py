@@ -89,7 +89,7 @@ def compute_overall_figure(
 
 
 def overall_averaging(protocol: Protocol) -> tuple[str, ...]:
-    """Return the levels of the mean over groups, innermost first: those of the protocol, then the group."""
+    """Return the levels of the mean over groups, innermost first: the protocol's levels, then the group."""
     return (*protocol.averaging, "group")
 
 

@@ -63,7 +63,7 @@ class FigureRow:
 
 @dataclass(frozen=True)
 class FigureTable:
-    """A table of figures: heads, of which those of numbers begin with ``n:``, and rows."""
+    """A table of figures: heads (heads of numbers begin with ``n:``) and rows."""
 
     head: Sequence[str]
     rows: Sequence[FigureRow]
@@ -71,7 +71,7 @@ class FigureTable:
 
 @dataclass(frozen=True)
 class Breakdown:
-    """The figures of the parts of a level, such as those of all cameras, below their title."""
+    """The figures of the parts of a level, such as all cameras, below a title."""
 
     title: str
     table: FigureTable
@@ -112,7 +112,7 @@ def list_measures(result: Result) -> list[Measure]:
 
 
 def find_headline(result: Result) -> GroupFigure | None:
-    """Find the figure that ranks; without a ranking key, the first figure of a group with a value."""
+    """Find the ranking figure; without a ranking, the first figure of a group with a value."""
     of_groups = [figure for figure in result.figures if figure.level == "group"]
     if result.protocol.ranking is not None:
         column = result.protocol.ranking.column

@@ -57,7 +57,7 @@ class GroupFigure(Document):
 
 
 class ClusterMean(Document):
-    """The mean of the figure that ranks in one cluster: a scene, or a scenario in a scene.
+    """The mean of the ranking figure in one cluster: a scene, or a scenario in a scene.
 
     Attributes:
         key: the scene, or ``SCENE, SCENARIO``.

@@ -187,7 +187,7 @@ def _add_file(out: Path, bundle: Bundle, name: str, text: str) -> Bundle:
 def withheld_images(
     dataset: Dataset, split: SplitDocument, protocols: Sequence[Protocol]
 ) -> Callable[[ImageKey], bool]:
-    """Return whether an image is one of a held-out traversal, or one that a protocol scores."""
+    """Return a function that tells whether an image is of a held-out traversal or scored by a protocol."""
     hidden = {key for key, role in split.assignments.items() if role not in ("train", "unused")}
     scored = {key for protocol in protocols for key in list_scored_images(plan_views(dataset, protocol, split.name))}
     return lambda key: key[0] in hidden or key in scored

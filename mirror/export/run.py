@@ -56,7 +56,7 @@ class ExportOptions:
 
 
 def find_layout(name: str) -> ExportLayout:
-    """Return the format of a name.
+    """Return the export format with a given name.
 
     Raises:
         UsageError: there is no such format.

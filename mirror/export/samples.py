@@ -16,7 +16,7 @@ from mirror.geometry.poses import to_pose_numbers
 
 
 def own_lens(camera: Camera) -> ForeignLens:
-    """Return MIRROR's own model: formats that hold any numbers keep every lens."""
+    """Return the lens in MIRROR's own camera model, for formats that can hold any lens."""
     return ForeignLens(camera.model, {})
 
 

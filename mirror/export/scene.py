@@ -73,7 +73,7 @@ class ExportImage:
         return self.image.world_SE3_camera
 
     def valid_pixels(self) -> UInt8 | None:
-        """Return the mask (H, W) in the exported raster: 255 where it shows the static street; None: all does.
+        """Return the mask (H, W) of the exported raster: 255 where it shows the static street; None if all of it does.
 
         Road users, the recording vehicle, replaced faces and plates, and pixels outside of the lens's range are 0.
         """

@@ -117,7 +117,7 @@ UTM_NORTHING_M: Final = {True: (-9_400_000.0, 9_400_000.0), False: (600_000.0, 1
 
 
 def is_in_utm_domain(easting_m: npt.ArrayLike, northing_m: npt.ArrayLike, north: bool) -> Bool:
-    """Mark which of N coordinates, with false easting and northing, can be those of a place in a UTM zone.
+    """Mark which of N coordinates, with false easting and northing, can be of a place in a UTM zone.
 
     Args:
         easting_m: (N,); NaN is in no domain.

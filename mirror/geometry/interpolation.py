@@ -15,7 +15,7 @@ from mirror.geometry.unit_quaternions import canonical, slerp_kernel
 def interpolate(
     timestamps_ns: npt.ArrayLike, poses: Poses, query_ns: npt.ArrayLike, *, extrapolate: bool = False
 ) -> Poses:
-    """Return the poses at the asked times: the turn at constant rate (slerp), the translation on the straight line.
+    """Interpolate poses at given times: rotation at constant rate (slerp), translation on a straight line.
 
     Stamps are subtracted as integers, so that the epoch costs no digits; at a recorded stamp the recorded pose comes
     back bit for bit.

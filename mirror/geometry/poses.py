@@ -65,7 +65,7 @@ class Poses:
 
     @classmethod
     def unchecked(cls, rotation: Float64, translation: Float64) -> Poses:
-        """Return poses of arrays that are known to be valid: a second check would double the time of a single pose."""
+        """Make poses from arrays that are known to be valid, without a check, which would double the time of a pose."""
         poses = object.__new__(cls)
         # Contiguous: gathering a few rows of a strided array would copy all of it first.
         object.__setattr__(poses, "rotation", np.ascontiguousarray(rotation))
@@ -74,7 +74,7 @@ class Poses:
 
     @classmethod
     def identity(cls, count: int = 1) -> Poses:
-        """Return ``count`` motions that move nothing."""
+        """Return ``count`` identity motions."""
         return cls.unchecked(np.tile((1.0, 0.0, 0.0, 0.0), (count, 1)), np.zeros((count, 3)))
 
     @classmethod
@@ -105,7 +105,7 @@ class Poses:
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, Any]) -> Poses:
-        """Make poses of the columns ``qw qx qy qz tx_m ty_m tz_m`` of a mapping, a data frame or an Arrow table.
+        """Make poses from the columns ``qw qx qy qz tx_m ty_m tz_m`` of a mapping, a data frame or an Arrow table.
 
         Raises:
             UsageError: a column is missing, or a row is no pose; it is named.

@@ -36,7 +36,7 @@ ROTATION_TOLERANCE: Final = 1e-3
 
 
 def quaternion_normalise(quaternion: npt.ArrayLike) -> Float64:
-    """Scale quaternions to unit length and canonical sign, bit for bit where they have both already.
+    """Scale quaternions to unit length and canonical sign; quaternions that have both stay bit for bit.
 
     Args:
         quaternion: (..., 4), of any length but zero.

@@ -22,7 +22,7 @@ from mirror.schema.tables import IMAGES, PASSES
 
 
 def make_rig_document(drive: DrivePasses) -> Rig | None:
-    """Return ``rigs/<rig_id>.json`` of a drive; None for a poses-only one."""
+    """Make ``rigs/<rig_id>.json`` of a drive; None for a drive with poses only."""
     rig = drive.recording.rig
     if rig is None:
         return None

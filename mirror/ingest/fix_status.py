@@ -74,7 +74,7 @@ def count_status(status: UInt8) -> Int64:
 
 @compiled_above(PLAIN_ELEMENTS)
 def count_backward(stamps: Int64) -> tuple[int, int]:
-    """Count stamps earlier than one before them; return also the row of the first such stamp (-1: none)."""
+    """Count stamps that are earlier than a previous stamp; return also the row of the first one (-1: none)."""
     latest = stamps[0]
     count, row = 0, -1
     for index in range(len(stamps)):
@@ -213,7 +213,7 @@ def set_status(fixes: Fixes, limits: CleaningLimits) -> None:
 
 @compiled_above(PLAIN_ELEMENTS)
 def set_status_without_motion(fixes: Fixes) -> None:
-    """Fill ``fixes.status`` where stamps only number the fixes: usable ones are kept, the first of each stamp."""
+    """Set ``fixes.status`` if stamps only number the fixes: keep usable fixes, the first of each stamp."""
     stamps, lon_or_x, lat_or_y, status, geodetic = fixes
     last = -1
     for index in range(len(stamps)):

@@ -58,7 +58,7 @@ class PlacedImages:
 
 
 def refer_to_images(stream: ReferencedStream, selected: Int64, advance: Callable[[int], None]) -> PlacedImages:
-    """Leave a camera's selected images where they are; none is opened.
+    """Refer to a camera's selected images at their present place; no image is opened.
 
     Args:
         stream: the camera.

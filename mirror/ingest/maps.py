@@ -80,7 +80,7 @@ def read_given_maps(paths: Sequence[Path], rois: Sequence[Roi]) -> list[GivenMap
 
 
 def judge_maps(layout: Layout, maps: Sequence[GivenMap], *, replace: bool) -> dict[str, MapOutcome]:
-    """Compare maps with those of the dataset, and state the effect of adding each, by scene.
+    """Compare given maps with the maps of the dataset, and state the effect of adding each, by scene.
 
     Args:
         layout: the dataset.

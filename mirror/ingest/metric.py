@@ -32,7 +32,7 @@ def scales(lat_or_y: float, geodetic: bool) -> tuple[float, float]:
 
 @compiled_above(PLAIN_ELEMENTS)
 def unwrap(difference: float, geodetic: bool) -> float:
-    """Take a difference of longitudes the short way round the globe; leave a difference of x as it is."""
+    """Wrap a difference of longitudes to the short way round the globe; return a difference of x unchanged."""
     if geodetic:
         if difference > 180.0:
             return difference - 360.0

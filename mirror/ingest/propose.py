@@ -103,7 +103,7 @@ def propose_rois(
     options: IngestOptions | None = None,
     progress: ProgressReporter | None = None,
 ) -> Proposals:
-    """Rank ROI centres by how many drives have a traversal there.
+    """Rank centres of regions of interest by the number of drives that have a traversal there.
 
     One drive may pass a place several times, and a stop on the way makes two traversals of one pass: so drives count
     before traversals.

@@ -58,7 +58,7 @@ def refuse_invalid_boxes(boxes: pa.Table, file: Path) -> None:
 def refuse_other_image_sizes(
     camera: str, width_px: Int64, height_px: Int64, files: Sequence[str], calibrations: pa.Table
 ) -> None:
-    """Refuse images whose size is not that for which their camera is calibrated: every projection would be wrong.
+    """Refuse images of another size than their camera's calibration, as every projection would be wrong.
 
     Args:
         camera: the images' camera.
@@ -87,7 +87,7 @@ def refuse_other_image_sizes(
 
 
 def refuse_other_mask_size(camera: str, mask: UInt8, width_px: Int64, height_px: Int64, files: Sequence[str]) -> None:
-    """Refuse images whose size is not that of their camera's mask: the mask would hide other pixels.
+    """Refuse images of another size than their camera's mask, as the mask would hide other pixels.
 
     Args:
         camera: the images' camera.

@@ -23,7 +23,7 @@ Thresholds = TypeVar("Thresholds", TriggerOptions, CleaningOptions)
 
 
 def validate_thresholds(kind: type[Thresholds], given: Mapping[str, object]) -> Thresholds:
-    """Return the defaults, with those thresholds that were given.
+    """Return thresholds with the given values, and defaults for all others.
 
     Raises:
         UsageError: one is out of its range; it is named.
@@ -139,7 +139,7 @@ class IngestReport:
 
     @property
     def without_pose(self) -> int:
-        """Images within the traversals that were left out, as they were taken in a gap of the poses."""
+        """Images within the traversals that were left out because they were taken in a gap of the poses."""
         return sum(one.without_pose for one in self.traversals)
 
     @property
@@ -149,7 +149,7 @@ class IngestReport:
 
     @property
     def repeated(self) -> dict[str, int]:
-        """By camera, number of images within the traversals that were left out because another one has their stamp."""
+        """By camera, number of images within the traversals that were left out because their stamp is repeated."""
         counts: Counter[str] = Counter()
         for one in self.traversals:
             counts.update(one.repeated)

@@ -136,7 +136,7 @@ def merge_rois(present: Sequence[Roi], given: Sequence[Roi], file: Path) -> list
 
 
 def refuse_swapped_coordinates(rois: Sequence[Roi], longitude_deg: float, latitude_deg: float) -> None:
-    """Refuse ROIs that are far from where was driven, but near with longitude and latitude exchanged.
+    """Refuse ROIs that are far from the driven places, but near them with longitude and latitude exchanged.
 
     Args:
         rois: geodetic ones are looked at.

@@ -41,7 +41,7 @@ class IngestSettings:
 
 
 def merge_settings(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) -> IngestSettings:
-    """Merge the settings of a run into those of the dataset.
+    """Merge the settings of a run into the settings of the dataset.
 
     Raises:
         UsageError: there is no ROI, or a threshold is out of its range.

@@ -68,7 +68,7 @@ class Staging:
             shutil.rmtree(folder, ignore_errors=True)
 
     def complete(self, attempt: Layout, traversal_id: str) -> None:
-        """Move a sealed traversal to its place; an equal one of another attempt is left there.
+        """Move a sealed traversal to its place, unless an equal one of another attempt is already there.
 
         Raises:
             DatasetError: it cannot be moved.
@@ -95,7 +95,7 @@ class Staging:
             return
 
     def recorded(self, traversal_id: str) -> Path:
-        """Return the recorded part of a traversal: of this run, else of the dataset."""
+        """Return the recorded part of a traversal, from this run if it has one, else from the dataset."""
         own = self.layout.recorded(traversal_id)
         return own if (own / MANIFEST).is_file() else self.dataset.recorded(traversal_id)
 
@@ -135,7 +135,7 @@ class Staging:
         _rename(folder, target)
 
     def close(self, *, done: bool) -> None:
-        """Remove the folder; where the run is not done, leave it to the next one if something in it is complete.
+        """Remove the folder; if the run is not done and something in it is complete, leave it to the next run.
 
         Args:
             done: everything that is complete was published.

@@ -76,7 +76,7 @@ def build_pose_table(poses: PoseSlice, roi: Roi, drive: DrivePasses) -> pa.Table
 
 
 def course(poses: PoseSlice, *, geodetic: bool) -> Float64:
-    """Return the rotations that look along the direction of travel, level, from positions alone.
+    """Compute level rotations along the direction of travel, from positions alone.
 
     A step counts once it is half a metre long; between the middles of such steps the course turns evenly, so that it is
     held while standing.

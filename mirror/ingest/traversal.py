@@ -232,7 +232,7 @@ def _write(
 
 
 def select_images(drive: DrivePasses, number: int) -> dict[str, tuple[ImageStream, Int64, Int64]]:
-    """Return the by camera, in order of name: its stream, the indices of the images to take, and their stamps.
+    """Select by camera, in order of name, the images of a pass: stream, indices of the images, and stamps.
 
     Taken are the images exposed within the pass at an instant at which the vehicle's pose is known
     (`PoseSlice.poses_known`).
@@ -253,7 +253,7 @@ def select_images(drive: DrivePasses, number: int) -> dict[str, tuple[ImageStrea
 
 
 def images_without_pose(drive: DrivePasses, number: int) -> int:
-    """Count the images of all cameras that are exposed within an accepted pass, but in a gap of the poses.
+    """Count the images of all cameras that were exposed within an accepted pass but in a gap of the poses.
 
     Args:
         drive: judged.
@@ -268,7 +268,7 @@ def images_without_pose(drive: DrivePasses, number: int) -> int:
 
 
 def repeated_images(drive: DrivePasses, number: int) -> dict[str, int]:
-    """Count the images within an accepted pass that a stream leaves out for an equal stamp, by camera.
+    """Count, by camera, the images within an accepted pass that a stream leaves out because their stamp is repeated.
 
     Args:
         drive: judged.

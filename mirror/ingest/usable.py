@@ -28,7 +28,7 @@ def clean_usable(
     is_clip: bool,
     has_motion: bool = True,
 ) -> tuple[Track, CleanTrack, CleaningReport]:
-    """Clean a track, and refuse it if too many of its rows make no pose.
+    """Clean a track, and refuse it if too many of its rows give no pose.
 
     Bad rows are those that the reader dropped, rotations and standard deviations that are none, and positions that are
     infinite or off the globe. A row without a position is none of them: there was no fix. At most the share

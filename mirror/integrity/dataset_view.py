@@ -52,7 +52,7 @@ class TraversalView:
 
 
 class DatasetView:
-    """Documents, manifests and ledgers of a dataset; what is broken is missing here, and its error is kept.
+    """Documents, manifests and ledgers of a dataset; broken ones are left out, and their errors are kept.
 
     Args:
         layout: the dataset.
@@ -145,7 +145,7 @@ class DatasetView:
 
     @cached_property
     def bundle(self) -> Bundle | None:
-        """The document of a published dataset; None: it is none, or its document is broken."""
+        """The document of a published dataset; None for other datasets, and if the document is broken."""
         file = self.layout.root / BUNDLE
         return self._read(file, Bundle) if file.is_file() else None
 
@@ -237,11 +237,11 @@ class DatasetView:
 
     @cached_property
     def ties(self) -> Sequence[Tie]:
-        """Ties between traversals, including those of scenes."""
+        """Ties between traversals, including ties of scenes."""
         return find_ties(self.candidates, by_scene=True)
 
     def folders(self, name: str) -> list[Path]:
-        """Return the folders of a folder of the dataset, sorted; hidden ones are passed over."""
+        """Return the subfolders of a folder of the dataset, sorted, without hidden ones."""
         parent = self.layout.root / name
         found = parent.iterdir() if parent.is_dir() else ()
         return sorted(folder for folder in found if folder.is_dir() and not folder.name.startswith("."))
@@ -252,7 +252,7 @@ class DatasetView:
         return [layer for kind in kinds for layer in self.folders(self.name(kind))]
 
     def folders_with_manifest(self) -> Iterator[Path]:
-        """Yield the folders that have a manifest when they are complete, except the index."""
+        """Yield the folders that are complete once they have a manifest, except the index."""
         yield from self.folders("drives")
         yield from self.folders(MAPS)
         for folder in self.folders("traversals"):
@@ -267,7 +267,7 @@ class DatasetView:
                 yield folder / name, entry
 
     def parts(self, table: Table, folders: Sequence[tuple[int, Path]]) -> list[TablePart]:
-        """Return a table of many folders; those that have none, or a broken one, are left out.
+        """Return one table from many folders; folders without it, or with a broken one, are left out.
 
         Args:
             table: which.

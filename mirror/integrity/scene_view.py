@@ -40,7 +40,7 @@ class SceneView:
 
     @property
     def road_map(self) -> RoadMap | None:
-        """The recorded road map; None: there is none, or it is broken."""
+        """The recorded road map; None if it is missing or broken."""
         return self.dataset.road_maps.get(self.scene.scene_id)
 
     @cached_property
@@ -60,7 +60,7 @@ class SceneView:
 
     @cached_property
     def all_poses(self) -> TableRows:
-        """Recorded poses and those of layers."""
+        """Recorded poses and poses of layers."""
         return self._with_layers(self.poses, "poses")
 
     @cached_property
@@ -70,7 +70,7 @@ class SceneView:
 
     @cached_property
     def all_calibrations(self) -> TableRows:
-        """Recorded calibrations and those of layers."""
+        """Recorded calibrations and calibrations of layers."""
         return self._with_layers(self.calibrations, "calibrations")
 
     @cached_property
@@ -144,7 +144,7 @@ class SceneView:
         return ImageFileReader(self.all_images, self.dataset.store).contents(self.image_files)
 
     def calibrated_images(self) -> Iterator[tuple[int, slice, Bool]]:
-        """Yield each row of `calibrations` with the rows of `images` of its traversal, and mark its camera's."""
+        """Yield each row of `calibrations`, its traversal's rows of `images`, and a mask of its camera's rows."""
         taken, names = self.images.text_codes("camera")
         code_of = {name: code for code, name in enumerate(names)}
         cameras, camera_names = self.calibrations.text_codes("camera")

@@ -57,7 +57,7 @@ NEEDED_OF_RENDERER: Final[Mapping[str, type]] = {"renders_depth": DepthRenderer,
 
 
 def find_capabilities(method: object, renderer: object | None = None) -> Capabilities:
-    """Find the capabilities of a method: those that it states, or else those that its functions and renderer show.
+    """Find the capabilities of a method: the stated ones, or the ones that its functions and renderer show.
 
     Args:
         method: the method. Its attribute `capabilities` may be None, or absent as in methods written for 0.1.

@@ -79,7 +79,7 @@ def reconstruct(
 
 
 def checked_renderer(name: str, render: Callable[[RenderView], UInt8]) -> Callable[[RenderView], UInt8]:
-    """Wrap a renderer: its images are checked.
+    """Wrap a renderer so that its images are checked.
 
     Args:
         name: name of the method, for messages.

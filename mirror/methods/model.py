@@ -64,7 +64,7 @@ class ModelRenderer:
         return cast(DepthRenderer, self._renderer).render(view)
 
     def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[DepthRendering, Any]:
-        """Render a view with its depth, and what the model before a depth covers; see `CoverRenderer.render_covers`.
+        """Render a view with its depth and the share of each pixel that the model before a depth covers.
 
         Raises:
             UsageError: the method lacks the capability `renders_covers`.

@@ -121,5 +121,5 @@ class Method(InstalledMethod, Protocol):
 
     @property
     def capabilities(self) -> Capabilities | None:
-        """Return what the method can do besides; None: its functions show it."""
+        """Return the method's capabilities; None if its functions show them."""
         ...

@@ -39,7 +39,7 @@ def method_label(name: str) -> str:
 
 
 def installed_method(name: str) -> InstalledMethod:
-    """Load a method that a document names; only an installed one is run.
+    """Load a method that a document names, which must be an installed one.
 
     Raises:
         UsageError: no method of that name is installed, or one of its dependencies is missing.

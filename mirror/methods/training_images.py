@@ -95,7 +95,7 @@ def list_scored_training_images(dataset: Dataset, protocol: Protocol, split: str
 
 
 def list_scored_images(plan: Plan) -> frozenset[ImageKey]:
-    """Return the recorded images that are the truth of a view; moved views have no recorded truth."""
+    """Return the recorded images that are the truth of a view; none for a moved view."""
     moved = {group.name for group in plan.protocol.groups if group.ego_shift_m != 0.0}
     return frozenset(
         (view.traversal_id, view.camera, view.timestamp_ns) for view in plan.views if view.group not in moved

@@ -363,7 +363,7 @@ MEASURES: Final[dict[str, Measure]] = {
 
 
 def find_measure(metric: str) -> Measure:
-    """Find the entry of a figure's metric; ``ap_CLASS`` is ``ap`` of that class.
+    """Find the catalogue's entry for a figure's metric; ``ap_CLASS`` is the ``ap`` of that class.
 
     Raises:
         UsageError: the catalogue has no such metric.

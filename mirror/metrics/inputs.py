@@ -88,7 +88,7 @@ def as_numbers(values: Numbers, what: str, dtype: type[np.float64] | None = None
 
 
 def require_rows(valid: Bool | np.bool_, name: str, values: AnyArray, expected: str) -> None:
-    """Refuse values of which a row is not valid.
+    """Raise an error if a row of values is not valid.
 
     Args:
         valid: (N,).
@@ -105,7 +105,7 @@ def require_rows(valid: Bool | np.bool_, name: str, values: AnyArray, expected: 
 
 
 def as_images(value: Pixels, what: str, layout: Layout | None) -> list[AnyArray]:
-    """Return the images (H, W) or (H, W, C), one of a single image and all of a batch.
+    """Return a list of images (H, W) or (H, W, C): a single image, or all images of a batch.
 
     Args:
         value: pixels.
@@ -120,7 +120,7 @@ def as_images(value: Pixels, what: str, layout: Layout | None) -> list[AnyArray]
 
 
 def as_image(value: Pixels, what: str, layout: ImageLayout | None) -> AnyArray:
-    """Return one image (H, W) or (H, W, C); as `as_images`.
+    """Return one image (H, W) or (H, W, C); see `as_images`.
 
     Raises:
         UsageError: as of `as_images`, or the layout is that of a batch.
@@ -185,12 +185,12 @@ def channels_last(value: Pixels, what: str, layout: Layout | None) -> AnyArray:
 
 
 def is_batch(layout: Layout | None) -> bool:
-    """Return whether a layout is that of several images."""
+    """Return whether a layout is a batch of images."""
     return layout in _BATCH
 
 
 def of_layout(results: Sequence[_Result], layout: Layout | None) -> Any:
-    """Return the result of one image, or the list of those of a batch."""
+    """Return the first result for a layout of one image, or the list of all results for a batch."""
     return list(results) if is_batch(layout) else results[0]
 
 

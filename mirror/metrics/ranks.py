@@ -61,7 +61,7 @@ def rank_intervals(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> RankIntervals:
-    """Return the ranks of methods by their means over clusters, and simultaneous intervals of them.
+    """Compute the ranks of methods by their means over clusters, with simultaneous intervals of the ranks.
 
     A difference that is the same in all C clusters counts as if one further cluster had shown none: its t is C, and no
     t is larger. What no cluster shows, such as a rare failure that nobody had yet, no interval knows.

@@ -64,7 +64,7 @@ def read_script(package: str, name: str) -> Markup:
 
 @cache
 def load_environment(package: str) -> Environment:
-    """Make the environment of a package: its own templates, and those that all pages share.
+    """Make the template environment of a package: its own templates, and the templates that all pages share.
 
     Args:
         package: the package whose folder ``templates`` has templates.

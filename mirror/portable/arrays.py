@@ -94,7 +94,7 @@ def convolve(values: ArrayLike, window: ArrayLike) -> Float64:
 
 
 def solve(matrix: ArrayLike, known: ArrayLike) -> Float64:
-    """Solve systems of N equations by Gaussian elimination with the largest pivots of columns.
+    """Solve systems of N equations by Gaussian elimination with partial pivoting.
 
     Args:
         matrix: (..., N, N) coefficients, not singular.

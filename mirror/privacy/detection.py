@@ -115,7 +115,7 @@ def detect_images(
     hashes: ContentHashes,
     advance: Callable[[int], object],
 ) -> tuple[dict[ImageKey, Detected], dict[ImageKey, Failure]]:
-    """Search images; those that the log has, with the same bytes, are not searched again.
+    """Search images; images that the log already holds, with the same bytes, are not searched again.
 
     Args:
         tasks: the images.
@@ -226,7 +226,7 @@ def search_upright(
 
 
 def read_recorded(store: Store, row: Mapping[str, Any]) -> bytes:
-    """Read the recorded bytes of an image; for a frame of a video, those of the whole video.
+    """Read the recorded bytes of an image; for a frame of a video, the bytes of the whole video.
 
     Raises:
         DatasetError: they are missing, too few, or not those that were recorded.

@@ -22,7 +22,7 @@ Regions = Mapping[ImageKey, Sequence[Region]]
 def propagate(
     dataset: Dataset, traversal_id: str, detected: Regions, steps: Propagation, *, grow: float
 ) -> dict[ImageKey, list[Region]]:
-    """Join the regions of detectors with those that propagation adds, for the images of a traversal.
+    """Join the detectors' regions with regions from propagation, for the images of a traversal.
 
     Cameras and vehicles need poses, calibrations and boxes; where a traversal has none, these steps add nothing.
 

@@ -95,7 +95,7 @@ class ImageRecord(Document):
 
 
 def encode_log(records: Iterable[ImageRecord]) -> bytes:
-    """Return the file of a log: a line an image, in the order of the images."""
+    """Encode a log as the bytes of its file: one line for each image, in the order of the images."""
     lines = [record.model_dump_json() for record in sorted(records, key=lambda record: record.key)]
     return "".join(f"{line}\n" for line in lines).encode()
 

@@ -30,7 +30,7 @@ class SkipRules:
 
 @dataclass(frozen=True)
 class Propagation:
-    """The steps that add regions to those of the detectors.
+    """The steps that add regions to the detectors' regions.
 
     Attributes:
         tracks: along the images of a camera, forwards and backwards.

@@ -70,7 +70,7 @@ def write_layers(
     *,
     workers: int,
 ) -> None:
-    """Write the layer of masks, then that of redacted images, which is complete with its log or absent.
+    """Write the layer of masks, then the layer of redacted images, which is complete with its log or absent.
 
     A few images are in memory at a time.
 

@@ -57,7 +57,7 @@ class Ranking(Document):
         return self.group, self.metric
 
     def passes_gate(self, find_value: Callable[[tuple[str, str]], float | None]) -> bool:
-        """Return whether a row is ranked, given its value of a group and metric; not without the gate's figure."""
+        """Return whether a row meets the gate, given a function that finds its figures; False without the figure."""
         if self.gate is None:
             return True
         value = find_value((self.group, self.gate.metric))

@@ -56,7 +56,7 @@ def is_invalid_rotation(quaternion: Float64) -> Bool:
 
 
 def mark_invalid_rotations(quaternion: Float64) -> tuple[Float64, Bool]:
-    """Normalise quaternions as read from a file, and mark those that are no rotation.
+    """Normalise quaternions as read from a file, and mark those that are not rotations.
 
     Args:
         quaternion: (N, 4) scalar first.

@@ -343,7 +343,7 @@ class ConfiguredReader(Reader, Protocol):
     """A format whose recordings need a configuration that a person completes, such as the topics of a log."""
 
     def propose_configuration(self, path: Path, options: Mapping[str, str]) -> str | None:
-        """Return a proposal as text, which begins with a comment that says where to save it; None: there is one.
+        """Return a proposed configuration as text, whose first comment says where to save it; None if one exists.
 
         Raises:
             RecordingError: the recording cannot be read.

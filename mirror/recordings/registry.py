@@ -15,7 +15,7 @@ READERS: Final = PluginKind("reader", ENTRY_POINT_GROUP, "--reader", "all", erro
 
 
 def load_readers(name: str | None = None) -> dict[str, Reader]:
-    """Load readers by name, in the order of names: MIRROR's own and those of other installed packages.
+    """Load readers by name, in the order of names: MIRROR's own and readers of other installed packages.
 
     Args:
         name: load only this reader, so that broken packages with other readers do no harm; ``FILE.py:CLASS``: load

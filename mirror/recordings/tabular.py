@@ -80,7 +80,7 @@ class RecordingRows:
         remedy: str,
         reason: Reason = "number",
     ) -> None:
-        """Mark bad rows; raise for the first of them if the table needs every row.
+        """Mark bad rows; raise an error for the first bad row if the table needs every row.
 
         Args:
             bad: (N,) True where a row is bad.

@@ -116,7 +116,7 @@ def av_error_type() -> type[Exception]:
 
 
 def has_time_stamps(stream: Stream) -> bool:
-    """Return whether the packets of a video have time stamps; those of a raw stream have none."""
+    """Return whether the packets of a video have time stamps; packets of a raw stream have none."""
     return len(stream.index_entries) > 0 or stream.start_time is not None
 
 

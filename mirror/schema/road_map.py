@@ -163,7 +163,7 @@ def read_road_map(path: str | Path, *, data: bytes | None = None) -> RoadMap:
 
 
 def require_map_of(road_map: RoadMap, roi: Roi, file: str | Path) -> None:
-    """Refuse a map that is not of a scene.
+    """Raise an error unless a map is of the given scene.
 
     Args:
         road_map: the map.

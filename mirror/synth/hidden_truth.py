@@ -115,7 +115,7 @@ def _require_recorded(view: RenderView, truth: GroundTruth, preset: str, seed: i
 
 
 def render_view(view: RenderView, group: Group | None, preset: str, seed: int, drive_id: str) -> UInt8:
-    """Render the RGB image (H, W, 3) of a view as a group moves its cameras and vehicles; None: as it was recorded."""
+    """Render the RGB image (H, W, 3) of a view as a group moves its cameras and vehicles, or as it was recorded."""
     drive, schedule = _drive(preset, seed, drive_id)
     stamps = schedule.recorded_ns.get(view.camera, np.empty(0, np.int64))
     at = np.flatnonzero(stamps == view.timestamp_ns)

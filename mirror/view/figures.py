@@ -43,7 +43,7 @@ _COLUMNS: Final = 4
 def draw_figures(
     dataset: Dataset, names: Sequence[str], removed: RemovedRegions | None = None
 ) -> Iterator[tuple[str, Figure]]:
-    """Draw figures one after the other; one without data is left out.
+    """Draw figures one after the other; figures without data are left out.
 
     Args:
         dataset: the dataset or a view of it.

@@ -52,7 +52,7 @@ def condition_order(light: str, weather: str) -> tuple[int, str]:
 
 
 def rig_images(frame: Frame, *, boxes: bool, width_px: int, against: Frame | None = None) -> Markup:
-    """Format all images of one frame; those of a MIRROR rig are arranged by the directions of its seven cameras.
+    """Format all images of one frame; images of a MIRROR rig are arranged by the directions of its seven cameras.
 
     Args:
         frame: the frame.
@@ -131,7 +131,7 @@ def same_place(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> lis
 
 
 def choose_passages(passages: Sequence[Passage], most: int) -> list[Passage]:
-    """Return at most some of the passages, in their order; light and weather take turns, so that none is left out."""
+    """Choose at most ``most`` passages, in their order, with light and weather in turns, so that none is left out."""
     earlier: Counter[tuple[str, str]] = Counter()
     turns = []
     for number, passage in enumerate(passages):
@@ -175,7 +175,7 @@ class Colour:
 
 
 def category_colours(categories: Iterable[str]) -> dict[str, Colour]:
-    """Return the colour of each category; those that are not MIRROR's get other hues, a golden angle apart."""
+    """Return the colour of each category; other categories than MIRROR's get hues a golden angle apart."""
     names = sorted(set(categories))
     others = [name for name in names if name not in CATEGORY_HUES]
     hues = {name: Colour("cx", round(_GOLDEN_DEG * number % 360)) for number, name in enumerate(others)}

@@ -172,7 +172,7 @@ def _from_kmh(kmh: npt.ArrayLike) -> Float64:
 
 
 def whole_numbers() -> MaxNLocator:
-    """Return the ticks at whole numbers."""
+    """Return a locator that puts axis ticks at whole numbers."""
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(integer=True)

@@ -89,7 +89,7 @@ def list_tiles(
     passes: Sequence[Mapping[str, Any]],
     boxes: int,
 ) -> list[tuple[str, str]]:
-    """Return the figures at the head of a report, each with what it counts."""
+    """Return the figures at the head of a report, each with its label."""
     cameras = {camera for row in traversals for camera in row["cameras"]}
     return [
         (f"{totals.scenes}", "scenes"),

@@ -75,7 +75,7 @@ class LoggedScene:
 def log_scene(
     dataset: Dataset, scene: str, options: RerunOptions, *, progress: ProgressReporter | None = None
 ) -> LoggedScene:
-    """Return the log a scene to rerun.
+    """Log a scene to rerun, and return the counts of what was logged.
 
     Timelines: ``time`` (Unix), ``elapsed`` since the entry of each traversal, so that traversals lie over each other,
     and ``frame``.

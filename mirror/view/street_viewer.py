@@ -284,7 +284,7 @@ class StreetViewer:
 
 
 def measure_moves(renderer: InteractiveRenderer, path: StreetPath, moves: int) -> Float64:
-    """Return the time moves of 0.5 m along a path at 480 x 270, with decoding.
+    """Measure the seconds that moves of 0.5 m along a path take at 480 x 270, with decoding.
 
     The seconds (moves, 2) are those that pass, and those of all threads.
 

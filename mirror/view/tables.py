@@ -25,7 +25,7 @@ def traversal_rows(traversals: Sequence[Mapping[str, Any]]) -> list[dict[str, An
 
 
 def describe_split(split: SplitDocument, traversals: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return name, parameters and seed of a split, and the traversals of each scene with their roles in it."""
+    """Describe a split: name, parameters, seed, and the traversals of each scene with their roles."""
     parameters = split.parameters.model_dump(exclude_none=True)
     scenes: dict[str, list[dict[str, Any]]] = {}
     for row in traversals:
@@ -42,7 +42,7 @@ def describe_split(split: SplitDocument, traversals: Sequence[Mapping[str, Any]]
 
 
 def ledger_rows(passes: Sequence[Mapping[str, Any]]) -> tuple[int, list[dict[str, Any]]]:
-    """Return the number of refused passes, and the first of them, each with the rule that refused it in words."""
+    """Return the number of refused passes, and the first ones, each with the rule that refused it in words."""
     refused = [row for row in passes if row["decision"] == "refused"]
     rows = []
     for row in refused[:_MAX_ROWS]:

@@ -23,7 +23,7 @@ _STEP_WIDTH_PX: Final = 240
 
 @dataclass(frozen=True)
 class TableSizes:
-    """The sizes of a method's tables when they are largest.
+    """The largest sizes that a method's tables reach.
 
     Attributes:
         numbers: numbers in all tables.

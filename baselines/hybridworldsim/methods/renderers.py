@@ -70,7 +70,7 @@ def training_sources(run: Run) -> list[Source]:
 
 
 def one_point(run: Run) -> InitialGeometry:
-    """Return the geometry of one point, for a method that makes models from a geometry only."""
+    """Return a geometry of one point, for a method that makes its models from a geometry only."""
     point: Float64 = np.zeros((1, 3))
 
     def ground(places: Float64) -> tuple[Float64, Float64]:
@@ -129,7 +129,7 @@ class NearestBlockCoverRenderer(NearestBlockRenderer):
     """A `NearestBlockRenderer` that also returns the covered share of each pixel."""
 
     def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
-        """Render a view, and the share (H, W) of each pixel that the street before a depth covers.
+        """Render a view, and return the share (H, W) of each pixel that the street nearer than a depth covers.
 
         Args:
             view: the view.

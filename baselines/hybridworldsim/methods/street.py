@@ -148,7 +148,7 @@ class StreetRenderer:
         return Rendering(output.rgb, output.alpha, output.depth_m, counts)
 
     def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
-        """Render a view, and the share (H, W) of each pixel that the street before a depth covers.
+        """Render a view, and return the share (H, W) of each pixel that the street nearer than a depth covers.
 
         Args:
             view: the view.

@@ -103,7 +103,7 @@ def _first_points(initial: InitialGeometry, settings: Settings) -> Float64:
 
 
 def background_points(initial: InitialGeometry, spacing_m: float, share: float, max_count: int) -> Float64:
-    """Return the points (N, 3) of the background. Those far from the driven places appear small and are thinned more.
+    """Return the points (N, 3) of the background; points far from the driven places are thinned more.
 
     Args:
         initial: geometry of the block.

@@ -70,7 +70,7 @@ class LazyAdam:
         return leaves
 
     def end_step(self) -> None:
-        """End a step: move its rows by their gradients."""
+        """End a step: update the rows of the step by their gradients."""
         if self._current_step is None:
             return
         rows, leaves, rates = self._current_step

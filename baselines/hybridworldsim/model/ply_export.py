@@ -133,7 +133,7 @@ def psnr_to_model_db(
 
 @torch.inference_mode()
 def render_gaussians(exported: ExportedGaussians, view: RenderView) -> Tensor:
-    """Render (H, W, 3) as a viewer of 3D Gaussian Splatting shows it."""
+    """Render an image (H, W, 3) as a viewer of 3D Gaussian Splatting shows it."""
     viewpoint = to_viewpoint(view, exported.origin_m)
     images, _, _ = rasterization(
         exported.means,

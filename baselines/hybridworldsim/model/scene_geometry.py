@@ -90,7 +90,7 @@ def read_scene_geometry(dataset: Dataset) -> SceneGeometry:
 
 
 def block_geometry(scene: SceneGeometry, block: Block, sources: Sequence[Source]) -> InitialGeometry:
-    """Select the geometry of a block from that of its scene.
+    """Select the geometry of a block from the geometry of its scene.
 
     Args:
         scene: geometry of the scene.

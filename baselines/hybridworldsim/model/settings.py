@@ -30,7 +30,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class ModelLearningRates:
-    """Learning rates of Adam: about twice those of Scaffold-GS and 3DGS, for small budgets."""
+    """Learning rates of Adam: about twice the rates of Scaffold-GS and 3DGS, for small budgets."""
 
     means: Rate = Rate(1e-2, 1e-4)
     quats: Rate = Rate(1e-3, 1e-4)
@@ -143,7 +143,7 @@ class Settings:
 
 
 def require(settings: object, under: str, names: Sequence[str], least: float) -> None:
-    """Require settings to be at least a number.
+    """Raise an error unless all named settings are at least a number.
 
     Raises:
         UsageError: a setting is smaller.
@@ -156,7 +156,7 @@ def require(settings: object, under: str, names: Sequence[str], least: float) ->
 
 
 def require_above(settings: object, under: str, names: Sequence[str], least: float = 0.0) -> None:
-    """Require settings, or all numbers of each, to be larger than a number.
+    """Raise an error unless all named settings, or all their numbers, are larger than a number.
 
     Raises:
         UsageError: a setting is not larger.

@@ -41,7 +41,7 @@ class VisibilityCache:
         self._bytes = 0
 
     def select_rows(self, viewpoint: Viewpoint, visible: Sequence[Tensor], numbers: Sequence[Tensor]) -> list[Tensor]:
-        """Select the rows worth decoding among those that a viewpoint may see.
+        """Select the rows worth decoding among the rows that a viewpoint may see.
 
         Args:
             viewpoint: camera of the image.

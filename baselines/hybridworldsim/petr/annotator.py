@@ -87,7 +87,7 @@ class PetrAnnotator:
         return to_detections(boxes, frame.timestamp_ns)
 
     def close(self) -> None:
-        """Do nothing: nothing is held but memory."""
+        """Do nothing: only memory is held."""
 
 
 def to_detections(boxes: DecodedBoxes, timestamp_ns: int) -> Detections:

@@ -35,7 +35,7 @@ class Neck(nn.Module):
         self.fpn_convs = nn.ModuleList([Convolution(dim, dim, 3)])
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:
-        """Return the features of all levels to (N, dim, H, W) at the finest one."""
+        """Map the features of all levels to features (N, dim, H, W) at the finest level."""
         laterals = [lateral(x) for lateral, x in zip(self.lateral_convs, features)]
         for level in range(len(laterals) - 1, 0, -1):
             size = laterals[level - 1].shape[2:]

@@ -13,7 +13,7 @@ from mirror.installation import install_command
 
 
 def export_onnx(network: nn.Module, images: Tensor, points: Tensor, path: Path) -> None:
-    """Write an ONNX file for inputs of these shapes.
+    """Write an ONNX file for inputs of given shapes.
 
     Args:
         network: `hybridworldsim.petr.detector.Petr` or a network of the same interface, in float32.

@@ -19,7 +19,7 @@ _ROUNDING: Final = 1e-6
 
 
 def covered_before(meta: Mapping[str, Any], limit_m: Float32) -> Tensor:
-    """Compute the share of each pixel that an image's Gaussians before a depth cover.
+    """Compute the share of each pixel that the Gaussians of an image nearer than a depth cover.
 
     It is the alpha of an image of the Gaussians with a nearer centre, if that image blended the Gaussian that ends a
     pixel too (`TRANSMITTANCE_STOP`). The light that comes through Gaussians is the product of what each lets through:
@@ -61,7 +61,7 @@ def let_through(
     columns: Int32,
     through: Float32,
 ) -> None:
-    """Multiply the light of each pixel by the transmittance of the Gaussians before its limit.
+    """Multiply the light of each pixel by the transmittance of the Gaussians nearer than the pixel's limit.
 
     Args:
         means2d: (M, 2) pixels.

@@ -58,7 +58,7 @@ def rasterization(
 
 
 def preset_on(device: torch.device) -> str:
-    """Return the preset that a model renders with on a device: on CUDA that of the installed gsplat.
+    """Return the preset that a model renders with on a device; on CUDA, the preset of the installed gsplat.
 
     Raises:
         UsageError: on CUDA, gsplat is not installed.

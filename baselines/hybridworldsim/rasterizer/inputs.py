@@ -75,7 +75,7 @@ class Inputs:
         return self.colors[scene if len(self.colors) == len(self.means) else scene * self.cameras + camera]
 
     def find_finite(self, scene: int, camera: int) -> Tensor | None:
-        """Find the Gaussians of a scene that are finite, if the others shall be culled.
+        """Find the finite Gaussians of a scene, if non-finite ones are to be culled.
 
         Returns:
             Indices (N',) int64, ascending; None if all Gaussians are kept.
@@ -228,7 +228,7 @@ def make_lenses(
 
 
 def refuse_nonfinite(name: str, table: Tensor, row: str, ids: Tensor | None = None) -> None:
-    """Refuse numbers that are not finite; a finite table costs one sum.
+    """Raise an error if a table holds numbers that are not finite; the check of a finite table costs one sum.
 
     Args:
         name: name of the argument.

@@ -80,7 +80,7 @@ def has_kernels(table: Tensor) -> bool:
 
 
 def scatter_rows(part: Tensor, ids: Tensor, count: int) -> Tensor:
-    """Scatter rows into a table of zeros; return the rows themselves if they are all.
+    """Scatter rows into a table of zeros; return the rows themselves if they fill the table.
 
     Args:
         part: (M, ...).

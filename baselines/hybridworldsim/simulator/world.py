@@ -95,7 +95,7 @@ class SimulatedWorld:
         self.now = Snapshot(0, 0.0, start_ns, vehicle, ego, agents.agents, agents.start(), signals(0.0))
 
     def advance(self, controls: Controls) -> Snapshot:
-        """Advance everybody by one step; all agents read the state before it. Returns the new state."""
+        """Advance the ego and all agents by one step, all from the same state; returns the new state."""
         now = self.now
         states = self._agents.advance(now.step, now.boxes())
         ego = advance(now.vehicle, now.ego, controls, self._step_s)

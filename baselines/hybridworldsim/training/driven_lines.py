@@ -34,7 +34,7 @@ class DrivenLines:
         self._distances_m: dict[tuple[str, str], float] = {}
 
     def nearest(self, view: RenderView, names: Sequence[str]) -> str:
-        """Return the name of the trained traversal with the line nearest to that of a view's traversal.
+        """Return the name of the trained traversal whose line is nearest to the line of a view's traversal.
 
         A traversal that is not among the requested views is compared by the position of the one view.
         """

@@ -13,7 +13,7 @@ from mirror_baselines.splatting.settings import Densification, GaussianInit, Lea
 
 @dataclass(frozen=True)
 class MtgsStyle(Splatting):
-    """The settings of `Splatting` and those of MTGS.
+    """The settings of `Splatting` and of MTGS.
 
     Attributes:
         exposure: learning rate of each training image's colour matrix; None: there are no matrices.

@@ -13,7 +13,7 @@ from mirror_baselines.splatting.settings import Densification, GaussianInit, Lea
 
 @dataclass(frozen=True)
 class OmnireStyle(Splatting):
-    """The settings of `Splatting` and those of OmniRe.
+    """The settings of `Splatting` and of OmniRe.
 
     Attributes:
         embedding: size of an image's embedding.

@@ -61,7 +61,7 @@ class AppearanceModel(nn.Module):
         return []
 
     def update(self, viewpoint: Viewpoint) -> None:
-        """Take a step with the gradients of these parameters, and clear the gradients."""
+        """Update the model's own parameters by their gradients, and clear the gradients."""
 
     def prepare(self, viewpoint: Viewpoint, progress: float) -> None:
         """Prepare for training on an image: set the learning rates for a progress from 0 to 1."""

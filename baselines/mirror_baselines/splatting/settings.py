@@ -12,7 +12,7 @@ from mirror.errors import UsageError
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Learning rates of Adam; those of 3DGS (gsplat's `simple_trainer`) for a block of about 50 m.
+    """Learning rates of Adam: the rates of 3DGS (gsplat's `simple_trainer`) for a block of about 50 m.
 
     Attributes:
         means: metres per step.

@@ -24,7 +24,7 @@ _EVERY: Final = ("Common", "Inherited")
 
 
 def find_scripts(character: str) -> frozenset[str] | None:
-    """Return the scripts and writing systems of a character, empty for those of all scripts; None: it is not allowed.
+    """Return the scripts of a character, empty if it belongs to all scripts; None if the character is not allowed.
 
     Allowed are the characters with the Identifier_Status *Allowed*: those of scripts in common modern use, without
     obsolete, technical and invisible ones, symbols and most punctuation.

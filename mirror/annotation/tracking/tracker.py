@@ -80,7 +80,7 @@ def track(
 def find_tracks(
     detections: Sequence[Detections], world_SE3_ego: Poses, options: BoxTrackingOptions | None = None
 ) -> list[ObjectTrack]:
-    """Return the tracks of a traversal in the world frame; arguments as those of `track`.
+    """Return the tracks of a traversal in the world frame; see `track` for the arguments.
 
     Raises:
         UsageError: frames and poses do not fit, or times do not ascend.

@@ -79,7 +79,7 @@ def choose_pairs(rigs: MovingRigs, options: MatchingOptions) -> Int64:
 def match_pair(
     rigs: MovingRigs, one: int, other: int, features: Sequence[ImageFeatures], options: MatchingOptions
 ) -> Int64:
-    """Return matches (M, 2) of two images that fit one relative pose; none if they are fewer than ``options.least``."""
+    """Return matches (M, 2) of two images that fit one relative pose; none if fewer than ``options.least`` fit."""
     first, second = features[one], features[other]
     pairs = match_features(first, second)
     if len(pairs) < options.least:

@@ -66,7 +66,7 @@ class MovingRigs:
     traversal: Int64
 
     def world_SE3_cameras(self) -> Poses:  # noqa: N802
-        """Return the i poses of the images."""
+        """Return the poses of the I images in the world."""
         return self.world_SE3_ego @ self.ego_SE3_camera[self.mounting]
 
 

@@ -74,7 +74,7 @@ def open_traversal(view: Dataset, choice: FrameChoice) -> TraversalImages:
 
 
 def read_features(item: TraversalImages, most: int, store: Store, work: Path, advance: Callable[[int], None]) -> None:
-    """Find the features of a traversal's images, or read those that an interrupted run found in the same bytes.
+    """Find the features of a traversal's images, or read them from an interrupted run if the images are unchanged.
 
     Args:
         item: the traversal; gets images, features and the messages of unreadable images.

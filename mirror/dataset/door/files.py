@@ -82,7 +82,7 @@ class DatasetFiles:
 
 
 def list_dataset_files(layout: Layout) -> DatasetFiles:
-    """List the files that a dataset names, without those of its index.
+    """List the files that a dataset names, except the files of its index.
 
     Raises:
         DatasetError: a table is missing, a manifest names a file that is no table, or a path leads out of the folder to
@@ -207,7 +207,7 @@ def _add_rig(layout: Layout, rig_id: str, found: DatasetFiles) -> None:
 
 
 def newest_of(layers: Mapping[str, list[str]], traversal_id: str) -> str | None:
-    """Return the redaction layer that replaces the recorded images of a traversal; None: there is none."""
+    """Return the redaction layer that replaces the recorded images of a traversal; None without such a layer."""
     parts = [(kind, *name.split("@", 1)) for kind, _, name in (one.partition("/") for one in layers[traversal_id])]
     newest = newest_redaction((kind, source, version) for kind, source, version in parts)
     return None if newest is None else f"{REDACTION}/{newest[0]}@{newest[1]}"

@@ -28,7 +28,7 @@ _VIDEOS: Final = frozenset({".mp4", ".mov", ".mkv", ".avi", ".webm", ".h264", ".
 
 
 class Leak(NamedTuple):
-    """A file that must not leave as it is.
+    """A file that must not leave the dataset in its present state.
 
     Attributes:
         file: path of the file.
@@ -40,7 +40,7 @@ class Leak(NamedTuple):
 
 
 class SameBytes(NamedTuple):
-    """An image that leaves and has the bytes of one that stays, such as two images of a parked car.
+    """An image that may leave and has the same bytes as one that must stay, such as two images of a parked car.
 
     Attributes:
         shown: the image that leaves, ``traversal/camera/timestamp_ns``.

@@ -76,7 +76,7 @@ def hash_file(path: Path) -> str:
 
 
 def dataset_state(layout: Layout) -> dict[str, str]:
-    """Return the SHA-256 of every document and manifest of a dataset but those of its index, by path."""
+    """Return the SHA-256 of every document and manifest of a dataset, except its index, by path."""
     paths = [layout.document, layout.rois]
     for pattern in (
         f"drives/*/{MANIFEST}",

@@ -38,7 +38,7 @@ class KeptFile(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """Images that may leave and that must not.
+    """The division of images into those that may leave the dataset and those that must stay.
 
     Attributes:
         files: the files that leave, relative to the dataset, with their SHA-256 where a table or manifest states it.
@@ -56,7 +56,7 @@ class Departure:
 
 
 def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool]) -> Departure:
-    """Divide the files that a dataset names into those that may leave and those that must not.
+    """Divide the files that a dataset names into files that may leave and files that must stay.
 
     Recorded images of a traversal with a redaction layer never leave. Tables and masks leave whole; static masks of
     rigs, whose bytes no table states, are written again.
@@ -118,7 +118,7 @@ def _stated(images: Iterable[ImageFile]) -> dict[str, str | None]:
 
 
 def require_own_files(departure: Departure) -> None:
-    """Require that all images of the index, those that leave and those that stay, lie in the dataset's folder.
+    """Require that all images of the index, leaving or staying, lie in the dataset's folder.
 
     Raises:
         DatasetError: an image lies elsewhere.

@@ -38,7 +38,7 @@ class ByteSearch:
         self._table = np.zeros(1 << _BITS, np.bool_)
 
     def add(self, data: bytes, sha256: str) -> None:
-        """Add a byte string. Strings below 128 bytes are not searched: they are no images."""
+        """Add a byte string; strings below 128 bytes are not searched, as no image is so short."""
         if len(data) < _SHORTEST:
             return
         place = _distinct_place(data)

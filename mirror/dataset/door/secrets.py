@@ -25,7 +25,7 @@ _SMALLEST_PACKET: Final = 64
 
 
 class Secrets:
-    """The contents that must not leave.
+    """The contents that must not leave the dataset.
 
     Args:
         store: the dataset.
@@ -66,14 +66,14 @@ class Secrets:
                 progress.advance(1)
 
     def pixels(self, size: tuple[int, int]) -> Mapping[str, KeptFile]:
-        """Return the SHA-256 of the pixels of the images that stay and have a size; they are decoded on first use."""
+        """Return the SHA-256 of the pixels of images that must stay, if they have a size; decoded on first use."""
         with self._lock:
             if size not in self._pixels:
                 self._pixels[size] = dict(self._hash_pixels(size))
             return self._pixels[size]
 
     def packets(self) -> Mapping[str, KeptFile]:
-        """Return the SHA-256 of the packets of the video frames that stay."""
+        """Return the SHA-256 of the packets of video frames that must stay."""
         found: dict[str, KeptFile] = {}
         for frames in self._videos.values():
             data = self._read(next(iter(frames.values())))

@@ -97,7 +97,7 @@ def read_orientation(data: bytes) -> int:
 
 
 def states_orientation(data: bytes) -> bool:
-    """Return whether other programs may turn an image: EXIF states an orientation other than 1, or XMP or a PNG any."""
+    """Return whether other programs may turn an image: EXIF orientation not 1, or any in XMP or a PNG."""
     if data.startswith(START):
         return b"eXIf" in data or _XMP_ORIENTATION in data
     return read_orientation(data) != 1 or _XMP_ORIENTATION in data

@@ -55,7 +55,7 @@ def accepted_passes(passes: pa.Table) -> dict[str, dict[str, Any]]:
 def encode_global(
     inputs: IndexInputs, passes: pa.Table, traversals: pa.Table, row_groups: pa.Table
 ) -> dict[str, bytes]:
-    """Encode the global tables except that of the traversals; the result maps table names to file bytes.
+    """Encode the global tables except the table of traversals; the result maps table names to file bytes.
 
     Args:
         inputs: the inputs of the index.

@@ -176,7 +176,7 @@ def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitRep
 
 
 def compare(document: SplitDocument, candidates: Candidates) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Compare a split with the dataset: traversals that are newer than the split, and its changed ones; both sorted."""
+    """Compare a split with the dataset: return the traversals newer than the split, and its changed ones, sorted."""
     own = _of_scenes(candidates, document.scenes).traversals
     outside = tuple(key for key in own if key not in document.manifests)
     changed = tuple(key for key, value in document.manifests.items() if key not in own or own[key].content != value)

@@ -16,7 +16,7 @@ class ObjectExtractor(Protocol):
 
     @property
     def identity(self) -> str:
-        """See the class."""
+        """The name of the extractor, with a hash of its networks if it has any."""
         ...
 
     def extract(self, edited: UInt8, background: UInt8, counted: Bool, name: str) -> Bool:

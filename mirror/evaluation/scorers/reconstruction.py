@@ -117,7 +117,7 @@ def find_score(values: Values, name: str) -> Score:
 def score_pixels(
     metric: Metric, render: UInt8, truth: UInt8, scored: Bool, inputs: ScoringInputs
 ) -> tuple[Score, dict[str, float | int | str | None]]:
-    """Compute one metric of the scored pixels of an image, and values beside it.
+    """Compute one metric of the scored pixels of an image, and the values that come with it.
 
     Args:
         metric: a metric of single images.

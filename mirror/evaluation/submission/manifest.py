@@ -117,7 +117,7 @@ class SubmissionManifest(Document):
 
 
 def read_protocol_and_split(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str]:
-    """Return the names of a submission's protocol and split: the given ones, or else those of its manifest.
+    """Return the names of a submission's protocol and split: the given ones, or the ones in its manifest.
 
     The other keys of the manifest may be wrong.
 

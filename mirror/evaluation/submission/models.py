@@ -139,12 +139,12 @@ def plan_model_submission(
 
 
 def hash_models(models: Iterable[ModelFolder]) -> str:
-    """Return the SHA-256 over the documents of models, which record training times: no two trainings have the same."""
+    """Return the SHA-256 over the documents of models, which differ between any two trainings."""
     return hashlib.sha256(b"".join((model.folder / DOCUMENT).read_bytes() for model in models)).hexdigest()
 
 
 def describe_training(documents: Iterable[Reconstruction], rendered: Mapping[str, str]) -> str:
-    """Describe a trained or distilled model in one line.
+    """Describe the training of a model, trained or distilled, in one line.
 
     Args:
         documents: documents of the models.
@@ -165,7 +165,7 @@ def describe_training(documents: Iterable[Reconstruction], rendered: Mapping[str
 
 
 def sum_costs(documents: Iterable[Reconstruction], rendered_on: str = CPU) -> Runtime:
-    """Sum the costs of models for a manifest; those of a model without costs are not known, and then none is stated."""
+    """Sum the costs of models for a manifest; state none if the costs of a model are unknown."""
     device = hardware_name(rendered_on)
     costs = [document.done for document in documents]
     known = [cost for cost in costs if cost is not None]

@@ -165,12 +165,12 @@ class Camera:
         return self.unproject(np.stack((u, v), axis=-1))
 
     def intrinsic_matrix(self, *, first_pixel_centre: float = 0.5) -> Float64:
-        """Return the matrix K (3, 3), for images whose first pixel has its centre there (OpenCV: 0)."""
+        """Return the matrix K (3, 3) for pixel coordinates in which the first pixel's centre has the given value."""
         shift = first_pixel_centre - 0.5
         return np.array([[self.fx_px, 0.0, self.cx_px + shift], [0.0, self.fy_px, self.cy_px + shift], [0.0, 0.0, 1.0]])
 
     def resized(self, width_px: int, height_px: int) -> Camera:
-        """Return the camera of this one's images, scaled to another raster."""
+        """Return the camera that describes this camera's images after scaling to another raster."""
         across, down = width_px / self.width_px, height_px / self.height_px
         return replace(
             self,
@@ -183,21 +183,21 @@ class Camera:
         )
 
     def scaled(self, factor: float) -> Camera:
-        """Return the camera of this one's images scaled by a factor, to the nearest whole raster."""
+        """Return the camera that describes this camera's images after scaling, to the nearest whole raster."""
         return self.resized(round(self.width_px * factor), round(self.height_px * factor))
 
     def cropped(self, left_px: int, top_px: int, width_px: int, height_px: int) -> Camera:
-        """Return the camera of a rectangle of this one's images; it may reach beyond them."""
+        """Return the camera that describes a rectangle of this camera's images; it may reach beyond them."""
         return replace(
             self, width_px=width_px, height_px=height_px, cx_px=self.cx_px - left_px, cy_px=self.cy_px - top_px
         )
 
     def to_row(self) -> dict[str, Any]:
-        """Return values of this camera by their names in the ``calibrations`` table; `camera_from_row` reads them."""
+        """Return the values of this camera by column of the ``calibrations`` table; `camera_from_row` reads them."""
         return {name: getattr(self, name) for name in _COLUMNS}
 
     def undistort_maps(self, target: Camera) -> tuple[Float32, Float32]:
-        """Find where each pixel of a target camera at the same place looks into this camera's images.
+        """Compute, for each pixel of a target camera at the same place, its position in this camera's images.
 
         Returns:
             Two (H, W) maps for ``cv2.remap``, in OpenCV's pixel coordinates; -1 where this camera sees nothing.

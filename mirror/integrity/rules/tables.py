@@ -58,7 +58,7 @@ def _row_order(view: SceneView) -> Iterator[Finding]:
 
 
 def backward(rows: TableRows) -> Bool:
-    """Mark the rows (N,) whose keys are smaller than those of the row above in the file; null has no order."""
+    """Mark the rows (N,) whose keys are smaller than the keys of the row above in the file; null has no order."""
     undecided = rows.same_file[1:].copy()
     smaller = np.zeros(len(rows), np.bool_)
     for values, known in rows.key_columns():

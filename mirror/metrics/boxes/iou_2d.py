@@ -166,7 +166,7 @@ def hull_iou(
 
 
 def as_mask(mask: Numbers, what: str) -> Bool:
-    """Return a mask (H, W), checked: bool, or integers of which all but 0 are in.
+    """Check a mask (H, W) and return it: bool, or integers that are not 0 for selected pixels.
 
     Raises:
         UsageError: it is not two-dimensional, or not bool or integer.

@@ -42,7 +42,7 @@ def polygon_mask(polygon_px: Numbers, width_px: int, height_px: int) -> Bool:
 
 
 def as_polygon(polygon_px: Numbers) -> Float64:
-    """Return a polygon's corners (K, 2), checked.
+    """Check the corners (K, 2) of a polygon, and return them.
 
     Raises:
         UsageError: the shape is another, or a corner is not finite; its row is named.

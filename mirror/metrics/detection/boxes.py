@@ -84,7 +84,7 @@ class DetectionBoxes:
         attribute: AnyArray | Sequence[str] | None = None,
         score: Numbers | None = None,
     ) -> DetectionBoxes:
-        """Return the boxes by their poses; what is not given is not known.
+        """Make boxes from their poses; attributes that are not given are unknown.
 
         Args:
             sample: (N,).
@@ -118,7 +118,7 @@ class DetectionBoxes:
 
     @classmethod
     def concatenate(cls, parts: Sequence[DetectionBoxes]) -> DetectionBoxes:
-        """Return the rows of some boxes, in order."""
+        """Concatenate several sets of boxes, in order."""
         return cls(*(np.concatenate([getattr(one, part.name) for one in parts]) for part in fields(cls)))
 
 

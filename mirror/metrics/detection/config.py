@@ -60,7 +60,7 @@ class DetectionConfig:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> DetectionConfig:
-        """Return the settings of a configuration file, also of one of nuScenes' own.
+        """Make settings from the content of a configuration file, such as one of nuScenes' own.
 
         Raises:
             UsageError: a setting is missing or unknown, the distance is another one, or a value is out of range.

@@ -18,7 +18,7 @@ RECALL: Final = np.linspace(0.0, 1.0, 101)
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One class at one threshold, at the recalls `RECALL`.
+    """Precision, confidence and errors of one class at one threshold, at the recalls `RECALL`.
 
     Attributes:
         precision: (101,).
@@ -31,13 +31,13 @@ class Curve:
     errors: Mapping[str, Float64]
 
     def average_precision(self, min_recall: float, min_precision: float) -> float:
-        """Return the mean precision beyond ``min_recall``, counted from ``min_precision`` on."""
+        """Return the mean precision over recalls above ``min_recall``, rescaled from ``min_precision``..1 to 0..1."""
         precision = self.precision[_first(min_recall) :] - min_precision
         precision[precision < 0.0] = 0.0
         return float(np.mean(precision)) / (1.0 - min_precision)
 
     def error(self, name: str, min_recall: float) -> float:
-        """Return the mean of one error from ``min_recall`` to the recall that is reached; 1 if that lies below it."""
+        """Return the mean of one error from ``min_recall`` to the reached recall; 1 if that is below ``min_recall``."""
         reached = np.flatnonzero(self.confidence)
         first, last = _first(min_recall), int(reached[-1]) if len(reached) else 0
         if last < first:
@@ -50,7 +50,7 @@ NO_MATCHES: Final = Curve(np.zeros(101), np.zeros(101), {name: np.ones(101) for 
 
 
 def trace(score: Float64, matched: Bool, truths: int, errors: Mapping[str, Float64]) -> Curve:
-    """Return the curve of predictions by falling confidence.
+    """Compute the curve of one class from its predictions by falling confidence.
 
     Args:
         score: (P,) falling.

@@ -10,7 +10,7 @@ from mirror.arrays import Float64, Int64
 
 @njit(cache=True, nogil=True)
 def assign(first: Int64, truth: Int64, distance: Float64, thresholds: Float64, truths: int) -> Int64:
-    """Give predictions, one after the other, the nearest true box that none before has.
+    """Assign to each prediction in turn the nearest true box that no earlier prediction has.
 
     Args:
         first: (P + 1,) where each prediction's candidates begin; the last entry is their number.

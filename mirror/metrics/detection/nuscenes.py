@@ -171,7 +171,7 @@ class NuScenesAccumulator:
         self._predictions: list[DetectionBoxes] = []
 
     def update(self, truth: DetectionBoxes, predictions: DetectionBoxes) -> None:
-        """Add samples; among equal scores, those that are added later go first."""
+        """Add samples; among equal scores, later samples come first."""
         self._truth.append(truth)
         self._predictions.append(predictions)
 

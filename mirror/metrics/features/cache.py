@@ -29,7 +29,7 @@ class FeatureCache:
         folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, key: str) -> Float32 | None:
-        """Return the feature, or None if it is not there or its file is damaged."""
+        """Return the feature; None if it is missing or its file is damaged."""
         try:
             content = self._path(key).read_bytes()
         except FileNotFoundError:
@@ -43,7 +43,7 @@ class FeatureCache:
         return feature
 
     def put(self, key: str, feature: Float32) -> None:
-        """Keep a feature; atomic."""
+        """Store a feature atomically."""
         path = self._path(key)
         path.parent.mkdir(exist_ok=True)
         stored = io.BytesIO()

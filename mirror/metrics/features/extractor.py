@@ -108,7 +108,7 @@ def to_bytes(pixels: Pixels) -> UInt8:
 
 
 def checked_name(name: str, reserved: Sequence[str], *, pinned: bool) -> str:
-    """Return the name of a network; refuse that of a published metric unless the weights are its published ones.
+    """Return the name of a network; refuse a published metric's name unless the weights are the published ones.
 
     Raises:
         UsageError: a published name with other weights.

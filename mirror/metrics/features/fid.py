@@ -143,7 +143,7 @@ def fid(
     seed: int = 0,
     layout: Layout | None = None,
 ) -> Fid:
-    """Return the distance of renders from photographs.
+    """Compute the Fréchet inception distance between renders and photographs.
 
     Args:
         renders: images (h, w, 3) of any size, or images or batches as ``layout`` says; arrays or torch tensors on the

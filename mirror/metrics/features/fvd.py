@@ -111,7 +111,7 @@ class VideoFeatures:
         return (resize_video(frames, self.crop) / 127.5 - 1.0).permute(1, 0, 2, 3)
 
     def check(self, clip: AnyArray) -> None:
-        """Return whether a clip can be taken.
+        """Check that the network can take a clip.
 
         Raises:
             UsageError: another shape, too short, or not as long as those before.
@@ -199,7 +199,7 @@ def fvd(
     cache: FeatureCache | None = None,
     layout: Literal["nhwc", "nchw"] = "nhwc",
 ) -> Fvd:
-    """Return the distance of rendered clips from recorded ones.
+    """Compute the Fréchet video distance between rendered clips and recorded ones.
 
     Args:
         renders: clips (frames, h, w, 3), or as ``layout`` says; arrays or torch tensors on the CPU, uint8 or floats

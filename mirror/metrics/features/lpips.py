@@ -106,7 +106,7 @@ def pair_distances(
     masked: Masked,
     layout: Layout | None,
 ) -> Any:
-    """Return the distance of one render, or the list of those of a batch, from as many truths.
+    """Compute the distance of a render from its truth, or the list of distances of a batch.
 
     Raises:
         UsageError: images or masks do not fit.

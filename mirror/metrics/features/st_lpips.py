@@ -70,7 +70,7 @@ def st_lpips(
     masked: Masked = "map",
     layout: Layout | None = None,
 ) -> Score | list[Score]:
-    """Return the ST-LPIPS of a render; arguments as those of `mirror.metrics.features.lpips.lpips`.
+    """Return the ST-LPIPS of a render; see `mirror.metrics.features.lpips.lpips` for the arguments.
 
     Raises:
         UsageError: another network than ST-LPIPS's, or images that do not fit.

@@ -40,13 +40,13 @@ class ImagePair:
         return self.mask is not None and not self.mask.any()
 
     def selected(self, image: AnyArray) -> AnyArray:
-        """Return the pixels of one of the images that count, (N, C), row by row."""
+        """Return the selected pixels (N, C) of one of the two images, row by row."""
         pixels = image.reshape(-1, image.shape[2])
         # Four times as fast as image[mask].
         return pixels if self.mask is None else np.compress(self.mask.reshape(-1), pixels, axis=0)
 
     def refuse_non_finite(self) -> None:
-        """Raise if a pixel that counts is NaN or infinite, and name the first.
+        """Raise an error if a selected pixel is NaN or infinite; the message names the first.
 
         Raises:
             UsageError: a pixel that counts is not finite.

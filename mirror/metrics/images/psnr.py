@@ -110,7 +110,7 @@ class Psnr:
     def update(
         self, render: Pixels, truth: Pixels, mask: Pixels | None = None, *, layout: Layout | None = None
     ) -> Score | list[Score]:
-        """Add an image or a batch; arguments, result and errors as of `psnr`."""
+        """Add an image or a batch; see `psnr` for arguments, result and errors."""
         parts = [_relative_squares(pair) for pair in as_pairs(render, truth, mask, self.data_range, layout)]
         scores = [_decibels(*part) for part in parts]
         self.scores.extend(scores)

@@ -173,7 +173,7 @@ class Ssim:
     def update(
         self, render: Pixels, truth: Pixels, mask: Pixels | None = None, *, layout: Layout | None = None
     ) -> Score | list[Score]:
-        """Add an image or a batch; arguments, result and errors as of `ssim`."""
+        """Add an image or a batch; see `ssim` for arguments, result and errors."""
         pairs = as_pairs(render, truth, mask, self.data_range, layout)
         scores = [_ssim(pair, self.settings, self.mask_mode, self.precision) for pair in pairs]
         self.scores.extend(scores)

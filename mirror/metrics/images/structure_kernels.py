@@ -22,7 +22,7 @@ def multiply_bands(
     true_squares: Float64,
     products: Float64,
 ) -> None:
-    """Subtract the windows' means of render and truth; write squares and the product of the rest.
+    """Subtract the window means from render and truth; write the squares and the product of the differences.
 
     Args:
         fine_render: (H, W) sums of small windows of the render, or the render itself, 0 outside the mask.
@@ -59,7 +59,7 @@ def sum_scores(
     weight_variance: float,
     least_share: float,
 ) -> tuple[float, float]:
-    """Sum the gains over the mask, which are ``r |r|`` or what it has above the least share, and the weights.
+    """Sum weights and weighted gains over the mask; a gain is ``r |r|``, or its excess over the least share.
 
     Sums of windows hold the mask's share of each, by which means would be divided: the constants get it instead.
 

@@ -35,7 +35,7 @@ class NormalisedConvolution(nn.Module):
         return normalised.relu_()
 
     def fold(self) -> None:
-        """Put the normalisation into the convolution; the products are taken in float64 and rounded once."""
+        """Fold the normalisation into the convolution; the products are taken in float64 and rounded once."""
         if isinstance(self.bn, nn.BatchNorm2d):
             weight, bias = folded(self.conv.weight, self.bn)
             conv = self.conv
@@ -52,7 +52,7 @@ class NormalisedConvolution(nn.Module):
 
 
 def folded(weight: Tensor, norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
-    """Weight and bias of the convolution that does the normalisation too.
+    """Fold a batch normalisation into the weight of its convolution; return the new weight and bias.
 
     Args:
         weight: (outputs, inputs, rows, columns), of a convolution without a bias.

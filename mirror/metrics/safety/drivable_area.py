@@ -20,7 +20,7 @@ _SIGNS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)])
 
 @dataclass(frozen=True, eq=False)
 class DrivableAreaCompliance:
-    """The ego against the drivable area.
+    """The result of a test of the ego against the drivable area.
 
     Args:
         is_compliant: no corner is ever farther outside than the tolerance.
@@ -38,7 +38,7 @@ class DrivableAreaCompliance:
 def drivable_area_compliance(
     log: StateLog, rings: Sequence[npt.ArrayLike], *, tolerance_m: float = NUPLAN_TOLERANCE_M
 ) -> DrivableAreaCompliance:
-    """Hold all four corners of the ego against the drivable area, at the stamps and between them.
+    """Test all four corners of the ego against the drivable area, at the stamps and between them.
 
     Between two stamps position and heading change linearly, as `find_collisions` has it; the least margin there is
     found to 1 mm.

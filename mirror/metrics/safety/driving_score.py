@@ -113,7 +113,7 @@ def collision_factor(collisions: Sequence[Collision]) -> float:
 
 
 def direction_factor(log: StateLog, off_route: Bool) -> float:
-    """Return the largest distance driven off the route's lanes within one second (NAVSIM's DDC).
+    """Score NAVSIM's driving direction compliance (DDC) from the distance driven off the route within one second.
 
     Args:
         log: states; only the ego is read.
@@ -146,7 +146,7 @@ def lane_keeping_factor(log: StateLog, progress: Progress, positions: LanePositi
 
 
 def progress_factor(progress_m: float, reference_m: float) -> float:
-    """Return the progress as a share of that of a reference, from 0 to 1 (NAVSIM's EP)."""
+    """Return the progress as a share of a reference's progress, from 0 to 1 (NAVSIM's EP)."""
     if reference_m <= LEAST_REFERENCE_M:
         return 1.0
     return min(max(progress_m / reference_m, 0.0), 1.0)

@@ -42,7 +42,7 @@ class ImpossibleMotion:
 
 
 def find_impossible_motion(log: StateLog) -> ImpossibleMotion | None:
-    """Find the first step of a log that no body can make; None: there is none.
+    """Find the first step of a log that no body can make; None if all steps are possible.
 
     All actors: the speed is at most that of the category (pedestrians 13 m/s, bicycles 30 m/s, others 80 m/s). Agents:
     the place after a step is the one to which the mean velocity leads, within 1 m (the noise of labels) and what an

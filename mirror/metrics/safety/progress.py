@@ -14,7 +14,7 @@ from mirror.metrics.safety.state_log import StateLog
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """The ego along its route.
+    """The progress of the ego along its route.
 
     Attributes:
         progress_m: length along the route at the end, less that at the beginning; negative: it went backwards.

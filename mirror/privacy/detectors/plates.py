@@ -129,7 +129,7 @@ def find_shaped(boxes: Float64, scores: Float64, width_px: int) -> Bool:
 
 
 def widen_confident(boxes: Float64, scores: Float64) -> Float64:
-    """Widen those of boxes (N, 4) that are confident, by half of the share on each side."""
+    """Widen the confident ones of boxes (N, 4) on the left and the right."""
     more = 0.5 * _WIDENED * (boxes[:, 2] - boxes[:, 0]) * (scores >= _CONFIDENT)
     return boxes + np.stack([-more, np.zeros_like(more), more, np.zeros_like(more)], axis=1)
 

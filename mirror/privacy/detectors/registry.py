@@ -89,7 +89,7 @@ def find_detector(name: str) -> DetectorKind:
 
 
 def require_coverage(choices: Sequence[DetectorChoice], plate_region: str | None) -> str:
-    """Refuse to go on without a detector of each kind, and one that finds the plates of the dataset's region.
+    """Require a detector of each kind, and one that finds the plates of the dataset's region.
 
     Args:
         choices: the chosen detectors.

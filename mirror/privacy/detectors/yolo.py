@@ -63,7 +63,7 @@ class YoloDetector:
 
 
 def decode_yolo(output: Float64, threshold: float) -> tuple[Float64, Float64]:
-    """Return the boxes (N, 4) and scores (N,) of an output.
+    """Decode the output of a network to boxes (N, 4) and scores (N,).
 
     Args:
         output: (1, N, 6): corners, score and class, duplicates removed; (1, N, 5 + C) with N above C: centre, size,

@@ -20,7 +20,7 @@ DEFAULT_SAMPLE: Final = 300
 
 
 class ReviewedImage(Document):
-    """One line of the file that the review page writes; the last line of an image holds.
+    """One line of the file that the review page writes; of several lines of an image the last counts.
 
     Attributes:
         out_sha256: SHA-256 of the redacted bytes.

@@ -313,7 +313,7 @@ def read_rig(layout: Layout, drive: DriveDocument) -> Rig | None:
 
 
 def drop_images(data: pa.Table, keys: frozenset[tuple[str, int]]) -> pa.Table:
-    """Return the rows of a table of images, masks or depth maps without those of some images."""
+    """Remove the rows of some images from a table of images, masks or depth maps."""
     cameras = data.column("camera").cast(pa.string()).to_pylist()
     stamps = data.column("timestamp_ns").to_pylist()
     return data.filter(pc.invert(pa.array([key in keys for key in zip(cameras, stamps)], pa.bool_())))

@@ -92,7 +92,7 @@ def is_expired(vault: Vault) -> bool:
 
 
 def write_private_log(folder: Path, release: str, records: Iterable[OriginalRecord]) -> Path:
-    """Write the private log of a release; it is named after it."""
+    """Write the private log of a release, in a file with the release's name."""
     path = folder / f"{release}.{PRIVATE_LOG}"
     write_bytes(path, "".join(f"{one.model_dump_json()}\n" for one in records).encode())
     return path

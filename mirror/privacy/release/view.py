@@ -110,7 +110,7 @@ class ReleaseView:
 
     @cached_property
     def masks(self) -> frozenset[str]:
-        """The masks of the rigs and those of all layers, relative to the root."""
+        """The masks of the rigs and of all layers, relative to the root."""
         names = {f"rigs/{one.static_mask}" for rig in self._rigs for one in rig.cameras if one.static_mask}
         for name in self.traversals:
             for layer in self.layout.layers(name):

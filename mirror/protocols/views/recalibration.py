@@ -48,7 +48,7 @@ def recalibrate_views(dataset: Dataset, views: Sequence[RenderView], layer: str)
 
 
 def lens_in_raster(final: Camera, planned: Camera, wanted: Camera) -> Camera:
-    """Return the lens of the pixels of a raster, after another calibration of the camera.
+    """Return the lens of a raster's pixels under another calibration of the camera.
 
     Args:
         final: lens of the raster, made from ``planned``: that camera, scaled, or an undistorted pinhole.

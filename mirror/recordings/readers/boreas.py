@@ -88,7 +88,7 @@ class BoreasRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive of a vehicle in Toronto; the poses are those of the camera."""
+        """The drive of a vehicle in Toronto, with the poses of the camera."""
         return DriveInfo(
             drive_id=self.path.resolve().name,
             vehicle_id="boreas",

@@ -42,7 +42,7 @@ def rotation_about_up(yaw_rad: Float64) -> Float64:
 
 
 def velocity_columns(velocity_mps: Float64) -> dict[str, pa.Array]:
-    """Return the velocity columns of (N, 3) velocities along the ego frame's axes; NaN is null."""
+    """Convert (N, 3) velocities along the ego frame's axes to the velocity columns; NaN becomes null."""
     unknown = np.isnan(velocity_mps).any(axis=1)
     return {
         name: pa.array(np.ascontiguousarray(values), mask=unknown)

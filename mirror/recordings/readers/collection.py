@@ -9,7 +9,7 @@ from mirror.errors import RecordingError
 
 
 def choose_drive(names: Sequence[str], name: str | None, folder: Path) -> str:
-    """Return the drive of a folder that a path names.
+    """Return the drive of a folder that has the given name, or the folder's only drive.
 
     Args:
         names: the folder's drives.

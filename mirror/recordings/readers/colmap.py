@@ -144,7 +144,7 @@ class ColmapRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive; its id is its name, or that of the folder if the model is one drive."""
+        """The drive; its id is its own name, or the folder's name if the model is one drive."""
         folder = to_identifier(self.path.resolve().name)
         name = folder if self._is_single else self.drive
         by_name = self._stamps_in_names

@@ -147,7 +147,7 @@ def _is_stamp(line: str) -> bool:
 
 
 def list_numbered_images(root: Path, folder: Path, digits: int, suffixes: Sequence[str]) -> dict[int, Path]:
-    """List the images of a camera by the number of their frame, ascending; none: there is no such folder.
+    """List the images of a camera by frame number, ascending; empty if there is no such folder.
 
     Args:
         root: the folder of the data set.

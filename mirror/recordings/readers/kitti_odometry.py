@@ -69,11 +69,11 @@ class KittiOdometryReader:
     expects = f"a KITTI odometry folder with {_SEQUENCES}/NN/times.txt and {_POSES}/NN.txt, or FOLDER/NN"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the folder holds sequences, or is one of them."""
+        """Return whether the folder holds sequences or is a sequence."""
         return _is_root(path) or _is_sequence(path)
 
     def drives(self, path: Path) -> Sequence[str]:
-        """Return the names of the sequences that have poses; of all, if none has."""
+        """Return the names of the sequences that have poses; the names of all sequences if none has poses."""
         if not _is_root(path):
             return [path.name]
         names = _sequences(path)
@@ -172,7 +172,7 @@ class KittiOdometryRecording:
         return sorted([*files, *((file.relative_to(self.root).as_posix(), file) for file in images)])
 
     def track(self) -> Track:
-        """Return the poses of the place on the road below camera 0, turned to x forward, y left, z up, as the world."""
+        """Return the poses of the point on the road below camera 0; axes x forward, y left, z up, as the world's."""
         file = find_file(self.root, f"{_POSES}/{self.sequence}.txt")
         if file is None:
             raise RecordingError(

@@ -67,13 +67,13 @@ _HEIGHTS: Final = (
 
 
 class KittiRawReader:
-    """Reads the drives of a day, or one of them."""
+    """Reads the drives of a day, or a single drive."""
 
     name = "kitti_raw"
     expects = "a folder YYYY_MM_DD with calib_cam_to_cam.txt and drives YYYY_MM_DD_drive_NNNN_sync, or such a drive"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the folder is a drive or a day with drives, by its name and the folders in it."""
+        """Return whether the folder is a drive, or a day with drives, judged by names of folders."""
         return _is_drive(path) or bool(_drives_of_day(path))
 
     def drives(self, path: Path) -> Sequence[str]:
@@ -209,7 +209,7 @@ class KittiRawRecording:
         return sorted([*files, *((file.relative_to(self.root).as_posix(), file) for file in others)])
 
     def track(self) -> Track:
-        """Return the poses of the place on the road below the receiver, with the accuracy that it states of each."""
+        """Return the poses of the point on the road below the receiver, with the accuracy that it states for each."""
         files = list(self._fixes.values())
         frames = np.fromiter(self._fixes, np.int64, len(files))
         place, by_frame = self._stamps("oxts")

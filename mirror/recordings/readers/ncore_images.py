@@ -20,7 +20,7 @@ _EGO: Final = "ego"
 
 
 class ImageReader(CameraSensorComponent.Reader):
-    """The component of a camera; adds the bytes of images as they are stored."""
+    """A reader of a camera's component that also returns the images' bytes as they are stored."""
 
     def image_format(self, end_us: int) -> str:
         """Return ``jpeg`` or ``png``.

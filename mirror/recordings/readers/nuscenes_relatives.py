@@ -21,7 +21,7 @@ _T4_FOLDER: Final = "annotation"
 
 
 def refuse_relatives(root: Path, folder: Path) -> None:
-    """Refuse a folder of tables that are not those of nuScenes.
+    """Refuse a folder of tables in nuScenes' style that belongs to another dataset.
 
     Args:
         root: the folder of the sensors' files.

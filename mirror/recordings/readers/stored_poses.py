@@ -48,7 +48,7 @@ def to_poses(matrix: Float64) -> Poses:
 
 
 def mark_matrices(matrix: Float64, tolerance: float = 1e-3) -> tuple[Poses, Bool]:
-    """Convert the matrices of a track to poses, and mark those that are no rigid motion.
+    """Convert the matrices of a track to poses, and mark the matrices that are no rigid motion.
 
     Args:
         matrix: (N, 4, 4) or (N, 3, 4), as read.
@@ -112,7 +112,7 @@ def require_poses(quaternion: Float64, position: Float64, *, file: Path, place: 
 
 
 def join_poses(poses: Sequence[Poses]) -> Poses:
-    """Join poses in their order; none give no pose."""
+    """Join poses in their order; an empty list gives zero poses."""
     rotation = [one.rotation for one in poses]
     translation = [one.translation for one in poses]
     return Poses.unchecked(

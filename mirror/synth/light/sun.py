@@ -35,7 +35,7 @@ def sun_direction(timestamp_ns: npt.ArrayLike, longitude_deg: float, latitude_de
 
 
 def instant_of(date: str, light: Light, longitude_deg: float, latitude_deg: float, *, morning: bool = False) -> int:
-    """Find the minute of a local date at which the elevation of the sun is closest to that of a light.
+    """Find the minute of a local date at which the sun's elevation is closest to the elevation of a light.
 
     Args:
         date: ISO date, in the mean solar time of the place.

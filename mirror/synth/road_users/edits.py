@@ -15,7 +15,7 @@ Shifts = Mapping[str, float | None]
 
 @dataclass(frozen=True, eq=False)
 class ShiftedMotion:
-    """A motion beside another one, at all times.
+    """A motion that keeps a constant sideways distance from another motion.
 
     Attributes:
         motion: the original motion.

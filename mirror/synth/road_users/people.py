@@ -115,7 +115,7 @@ def draw_person(rng: np.random.Generator, *, child: bool = False, umbrella: bool
 def draw_pedestrian(
     rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False
 ) -> Pedestrian:
-    """Draw a pedestrian; the arguments are those of :func:`draw_person`."""
+    """Draw a pedestrian; see :func:`draw_person` for the arguments."""
     person = draw_person(rng, child=child, umbrella=umbrella, warm=warm)
     standing = _build_walker(person, 0.0, 0.0)
     # Legs reach farthest as the heels come down, arms and luggage a little later, the head half-way between.

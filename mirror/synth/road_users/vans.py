@@ -108,7 +108,7 @@ def design_van(
     screen_deg: float,
     nose: float,
 ) -> CoachworkDesign:
-    """Design a box with a short bonnet; the measures are those of `design.drawn`, in metres."""
+    """Design a box with a short bonnet; see `design_car` for the measures, in metres."""
     end = 0.5 * length
     axles = end - overhangs[0], overhangs[1] - end
     foot, brow = axles[0] + cowl, min(height - 0.06, waist + 0.86)

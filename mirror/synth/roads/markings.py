@@ -55,7 +55,7 @@ which the edges along the street fade."""
 
 @dataclass(frozen=True)
 class Mark:
-    """One mark; its fields are those of MARK."""
+    """One mark, with the fields of MARK."""
 
     u_m: tuple[float, float]
     v_m: tuple[float, float]

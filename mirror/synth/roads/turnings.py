@@ -83,7 +83,7 @@ def _wrap_angle(angle: float) -> float:
 
 
 def build_turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str, Lane]) -> list[Turning]:
-    """Build vehicle lanes through a crossing: from each arriving lane to those of the same use on other arms."""
+    """Build vehicle lanes through a crossing, from each arriving lane to lanes of the same use on other arms."""
     turnings = []
     for start in ports:
         use = lanes[start.lane_id].use

@@ -11,7 +11,7 @@ from mirror.arrays import UInt8
 
 
 class LatentCodec(Protocol):
-    """Images to latents and back; latents have mean 0 and deviation 1, approximately.
+    """A codec that maps images to latents and back; latents have mean 0 and deviation 1, approximately.
 
     Attributes:
         channels: channels of the latents.
@@ -26,7 +26,7 @@ class LatentCodec(Protocol):
         ...
 
     def decode(self, latents: Tensor) -> Tensor:
-        """Map latents to images; values may leave 0 to 1 a little."""
+        """Map latents to images; values may lie slightly outside 0 to 1."""
         ...
 
 

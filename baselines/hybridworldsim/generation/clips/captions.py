@@ -23,7 +23,7 @@ _FORM: Final = "NAME/tokens and NAME/pooled for each caption"
 
 @dataclass(frozen=True, eq=False)
 class TextEmbedding:
-    """The embedding of one caption, or those of several with further dimensions in front.
+    """The embedding of one caption, or of several captions along leading axes.
 
     Attributes:
         tokens: (M, text_channels); M may be 0.
@@ -40,7 +40,7 @@ class TextEmbedding:
 
 
 class Captions(Protocol):
-    """Gives the caption of each frame: from a file (`CachedCaptions`), or a model that describes images."""
+    """A source of the caption of each frame: a file (`CachedCaptions`), or a model that describes images."""
 
     def __call__(self, clip: Clip, frame: int, view: str) -> TextEmbedding:
         """The embedded caption of a view of a frame; all must have as many tokens."""
@@ -48,7 +48,7 @@ class Captions(Protocol):
 
 
 def embed_views(captions: Captions, clip: Clip, frame: int, config: TransformerConfig) -> TextEmbedding:
-    """Return the captions of all views of a frame: tokens (V, M, text_channels), and pooled (V, pooled_channels).
+    """Return the embedded captions of all views of a frame: tokens (V, M, text_channels), pooled (V, pooled_channels).
 
     Raises:
         UsageError: a caption has another size than the network takes, or another number of tokens than the others.
@@ -68,7 +68,7 @@ def embed_views(captions: Captions, clip: Clip, frame: int, config: TransformerC
 
 
 def require_equal_lengths(texts: Iterable[Tensor]) -> None:
-    """Check that the texts (..., M, channels) of frames that are joined have as many tokens.
+    """Check that the texts (..., M, channels) of frames that are to be joined have equally many tokens.
 
     Raises:
         UsageError: they have not.
@@ -174,7 +174,7 @@ class CachedEmbeddings:
 
 
 class CachedCaptions:
-    """The captions of a file of embeddings, by name; the same in all frames of a clip.
+    """Captions of views, by name, from a file of embeddings; the same in all frames of a clip.
 
     The name of a view's caption is the first of these that the file has: ``CLIP/CAMERA``, ``CLIP``, ``CAMERA``,
     ``all``. In place of the clip's id that of its drive may stand; for a scene of a dataset this is the traversal.

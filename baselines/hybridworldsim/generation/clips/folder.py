@@ -173,7 +173,7 @@ def _unreadable(path: Path, error: Exception) -> DatasetError:
 
 
 class ClipFiles(Sequence[Clip]):
-    """The clips of a folder, read when they are needed; the last ones are kept in memory.
+    """The clips of a folder, read when they are needed; the most recently used ones are kept in memory.
 
     Args:
         folder: the folder.
@@ -214,7 +214,7 @@ def _clip_bytes(clip: Clip) -> int:
 
 
 def headers_of(clips: Sequence[Clip]) -> list[ClipHeader]:
-    """Return the headers of clips; no file is read for those that are read lazily."""
+    """Return the headers of clips, without reading the clips that are read lazily."""
     return clips.headers if isinstance(clips, ClipFiles) else [header_of(clip) for clip in clips]
 
 
@@ -236,12 +236,12 @@ def _unpack_lines(arrays: Mapping[str, AnyArray]) -> tuple[MapLine, ...] | None:
 
 
 def write_list(folder: Path, clips: ClipList) -> None:
-    """Write the document, after all clips."""
+    """Write ``clips.json`` into a folder; call it after all clips are written."""
     write_json(folder / LIST, clips)
 
 
 def read_list(folder: Path) -> ClipList:
-    """Read the document of a folder.
+    """Read the ``clips.json`` of a folder.
 
     Raises:
         DatasetError: the folder holds no clips, or they are not complete yet.
@@ -256,5 +256,5 @@ def read_list(folder: Path) -> ClipList:
 
 
 def read_clips(folder: Path, clip_ids: Sequence[str]) -> list[Clip]:
-    """Read several clips; errors are those of `read_clip`."""
+    """Read several clips; see `read_clip` for the errors."""
     return [read_clip(folder, clip_id) for clip_id in clip_ids]

@@ -14,7 +14,7 @@ KEEP_BYTES: Final = 2 << 30
 
 
 class KeptItems(Generic[Key, Item]):
-    """Items by key; the one that was not used for longest goes first.
+    """A cache of items by key, which drops the least recently used item first.
 
     Args:
         most_bytes: bytes that are kept; the item in use is kept in any case.
@@ -28,7 +28,7 @@ class KeptItems(Generic[Key, Item]):
         self._items: OrderedDict[Key, tuple[Item, int]] = OrderedDict()
 
     def get(self, key: Key, make: Callable[[], Item], count_bytes: Callable[[Item], int]) -> Item:
-        """Return an item; it is made if it is not kept.
+        """Return the item of a key; make it if the cache does not hold it.
 
         Args:
             key: the item.

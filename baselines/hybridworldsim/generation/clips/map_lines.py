@@ -41,7 +41,7 @@ def move_lines(lines: Sequence[MapLine], dst_SE3_src: Float64) -> tuple[MapLine,
 
 
 def crop_lines(lines: Sequence[MapLine], places_m: Float64) -> tuple[MapLine, ...]:
-    """Return the parts of lines that are drawn from some places.
+    """Return the parts of map lines near some places of the vehicle, where they are drawn.
 
     Args:
         lines: lines.

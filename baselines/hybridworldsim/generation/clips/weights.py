@@ -17,7 +17,7 @@ RULE: Final = (
 
 
 def pixel_weights(clip: Clip) -> Float32 | None:
-    """Return the weight (F, V, H, W) of each pixel; None: all count alike.
+    """Return the weight (F, V, H, W) of each pixel; None if all pixels count equally.
 
     A road user with a box counts 1, an excluded pixel 0. Any other pixel counts 1 less the share of the static model's
     training images in which a road user hides its place: a background that no image could correct teaches nothing.

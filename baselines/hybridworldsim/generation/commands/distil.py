@@ -68,7 +68,7 @@ class Distil:
 
 
 def run_distil(argv: Sequence[str]) -> int:
-    """Distil a trained generator to few steps."""
+    """Distil a trained generator to one that samples in few steps."""
     arguments = parse_arguments(Distil, argv, "mirror generate distil", examples=_EXAMPLES)
 
     from hybridworldsim.generation.training.distillation import DistillationSettings

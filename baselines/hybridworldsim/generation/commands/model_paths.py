@@ -34,5 +34,5 @@ def find_model_files(generator: Path, autoencoder: Path | None) -> tuple[Path, P
 
 
 def describe_training(model: Path, outcome: GenerationOutcome) -> str:
-    """Describe a trained or distilled model in one line."""
+    """Describe the training of a model, trained or distilled, in one line."""
     return f"{model}: {outcome.steps} steps, {outcome.core_s / 60.0:.1f} core-minutes, loss {outcome.loss:.5f}"

@@ -28,7 +28,7 @@ def draw_hulls(boxes: ClipBoxes, intrinsics: Float64, ego_SE3_camera: Float64, s
 
 
 def hull_shares(hulls: Bool, grow_px: int) -> Float32:
-    """Return the share (V, H, W) of a generated image in each pixel.
+    """Return the share (V, H, W) that the generated image has in each blended pixel.
 
     It is 1 in hulls grown by some pixels, falling to 0 behind them.
 
@@ -46,7 +46,7 @@ def hull_shares(hulls: Bool, grow_px: int) -> Float32:
 
 
 def blend(images: UInt8, background: UInt8, shares: Float32) -> UInt8:
-    """Return the images (..., H, W, 3) where shares (..., H, W) are 1, the background where they are 0."""
+    """Blend images (..., H, W, 3) over a background by shares (..., H, W): 1 is the image, 0 the background."""
     share = shares[..., None]
     mixed: UInt8 = np.round(share * images + (1.0 - share) * background).astype(np.uint8)
     return mixed

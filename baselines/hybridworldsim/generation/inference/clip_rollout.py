@@ -27,7 +27,7 @@ from mirror.errors import UsageError
 
 @dataclass(frozen=True)
 class ClipRolloutOptions:
-    """Settings of a rollout over a clip: sampler, seed, and what blends generated and empty views.
+    """Settings of a rollout over a clip: sampler, seed, and how generated and empty views are blended.
 
     Attributes:
         sampler: how a frame is sampled.

@@ -80,7 +80,7 @@ class ImageAdapter(nn.Module):
 
 
 def add_features(first: list[Tensor], second: list[Tensor]) -> list[Tensor]:
-    """Return the sum of two lists of features; the longer one keeps its last features."""
+    """Return the sum of two lists of features; the rest of the longer list is appended unchanged."""
     longer, shorter = (first, second) if len(first) >= len(second) else (second, first)
     return [feature + shorter[place] if place < len(shorter) else feature for place, feature in enumerate(longer)]
 

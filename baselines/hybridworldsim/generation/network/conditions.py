@@ -76,7 +76,7 @@ class Conditions:
         return replace(self, **moved)
 
     def require_finite(self) -> None:
-        """Check all numbers.
+        """Check that all numbers are finite.
 
         Raises:
             UsageError: a tensor is not finite; it is named.

@@ -110,7 +110,7 @@ class TransformerConfig:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> TransformerConfig:
-        """Return the configuration of its fields as JSON values, as `dataclasses.asdict` gives them.
+        """Make a configuration from its fields as JSON values, as `dataclasses.asdict` gives them.
 
         Raises:
             UsageError: a field is unknown, or a value is not allowed.

@@ -90,7 +90,7 @@ def position_table(width: int, grid: int, base: int) -> Tensor:
 
 
 class PatchEmbedding(nn.Module):
-    """Latents to tokens, with the positions of the middle of the grid.
+    """A layer that maps latents to tokens and adds the position of each, from the middle of the table.
 
     Args:
         channels: channels of the latents.
@@ -119,7 +119,7 @@ class PatchEmbedding(nn.Module):
 
 
 class RayEncoder(nn.Module):
-    """A ray per token: sines and cosines of origin and direction, projected to the width of a token.
+    """An encoder of one ray per token: sines and cosines of origin and direction, projected to the width of a token.
 
     Args:
         width: channels of a token.

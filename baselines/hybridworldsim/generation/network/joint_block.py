@@ -97,7 +97,7 @@ class JointAttention(nn.Module):
             self.to_add_out = nn.Linear(width, width)
 
     def forward(self, image: Tensor, text: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
-        """Map image tokens (N, L, width) and text tokens (N, M, width) to those of the same shapes."""
+        """Map image tokens (N, L, width) and text tokens (N, M, width) to tokens of the same shapes."""
         query = self.norm_q(split_heads(self.to_q(image), self.heads))
         key = self.norm_k(split_heads(self.to_k(image), self.heads))
         value = split_heads(self.to_v(image), self.heads)

@@ -86,7 +86,7 @@ class MixingBlock(nn.Module):
         return tokens, normalised, self.attn1.project(normalised)
 
     def leave(self, tokens: Tensor, normalised: Tensor, keys_values: KeysValues, mask: Tensor | None) -> Tensor:
-        """Compute the attention and the part behind it; arguments are those that `enter` returned."""
+        """Compute the attention and the layers after it, from the result of `enter`."""
         tokens = tokens + self.attn1(normalised, keys_values, mask)
         return tokens + self.ff(self.norm3(tokens))
 

@@ -85,7 +85,7 @@ class Transformer(nn.Module):
             self.background_adapter = ImageAdapter(config.background, config.token_px, width)
 
     def encode_images(self, conditions: Conditions) -> list[Tensor]:
-        """Return the adapters' features; those of a frame do not depend on the other frames.
+        """Return the adapters' features; the features of a frame do not depend on the other frames.
 
         Returns:
             A feature (B * T * V, rows * columns, width) for each of the first layers.
@@ -96,11 +96,11 @@ class Transformer(nn.Module):
         return add_features(self.encode_layout(conditions), self.encode_background(conditions))
 
     def encode_layout(self, conditions: Conditions) -> list[Tensor]:
-        """Return the part of the layout in `encode_images`; empty where there is none."""
+        """Return the features of the layout alone, as in `encode_images`; empty if there is no layout."""
         return self._adapt("condition_image_adapter", conditions.layout)
 
     def encode_background(self, conditions: Conditions) -> list[Tensor]:
-        """Return the part of the background in `encode_images`; empty where there is none."""
+        """Return the features of the background alone, as in `encode_images`; empty if there is no background."""
         return self._adapt("background_adapter", conditions.background)
 
     def _adapt(self, name: str, images: Tensor | None) -> list[Tensor]:

@@ -99,7 +99,7 @@ class TraversalClips(Document):
 
 
 class ClipStatistics(Document):
-    """``statistics.json``: what the clips of a folder are, and what they were made of.
+    """``statistics.json``: statistics of the clips of a folder, and their sources.
 
     Attributes:
         format: always ``mirror-clip-statistics``.

@@ -37,7 +37,7 @@ class StaticStreet:
 
     @property
     def is_model(self) -> bool:
-        """Return whether it is a model."""
+        """Return whether the street is a trained model, not the exact synthetic street."""
         return not self.text.startswith(_EXACT)
 
 
@@ -67,7 +67,7 @@ def find_sources(
     boxes: str | None,
     method: str | None,
 ) -> ClipSources:
-    """Find what clips are made of, and refuse what is missing.
+    """Find the sources of clips, and raise an error if one is missing.
 
     Args:
         dataset: the dataset.
@@ -168,7 +168,7 @@ def _require_layers(view: Dataset, dataset: Dataset, boxes: str) -> None:
 
 
 def list_masked(view: Dataset) -> frozenset[str]:
-    """Return the traversals of a view with masks of road users, also with those that found none."""
+    """Return the traversals of a view that have masks of road users, even if the masks are empty."""
     rows = view.table("traversals", ["traversal_id", "layers"]).to_pylist()
     having = {row["traversal_id"] for row in rows if any(layer.startswith("masks/") for layer in row["layers"])}
     masks = view.table("masks", ["traversal_id", "kind"])

@@ -23,7 +23,7 @@ _EVEN: Final = 0.2
 
 @dataclass(frozen=True)
 class WindowOptions:
-    """The choice of windows.
+    """Options that choose the windows of traversals.
 
     Attributes:
         frames: frames of a window.
@@ -124,7 +124,7 @@ def plan_windows(
 
 
 def require_bounds(planned: list[TraversalWindows], options: WindowOptions) -> None:
-    """Require that the user has said what a window may lack, if windows lack something, and that some window is left.
+    """Require a stated bound on what windows may lack, if some lack anything, and at least one remaining window.
 
     Raises:
         UsageError: windows lack images or masks and `may_lack` is not stated, or no window is left.

@@ -48,7 +48,7 @@ def to_noise(noisy: Tensor, velocity: Tensor, level: Tensor) -> Tensor:
 
 
 def loss_weight(level: Tensor, weighting: Weighting) -> Tensor:
-    """Return the factor that turns the square error of the velocity into that of another quantity.
+    """Return the factor that converts the square error of the velocity to the square error of another quantity.
 
     Args:
         level: (...) noise levels.

@@ -54,7 +54,7 @@ def guide(conditional: Velocity, unconditional: Velocity, scale: float) -> Veloc
 
 
 def draw_noise(shape: Sequence[int], seeds: Sequence[int], *, device: torch.device | str = "cpu") -> Tensor:
-    """Return the noise that depends on the seeds only, on any device.
+    """Draw noise that depends on the seeds only, equal on every device.
 
     Args:
         shape: shape of the result.

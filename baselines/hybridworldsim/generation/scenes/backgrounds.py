@@ -70,7 +70,7 @@ def open_background(
 
 
 def calibrations_of(text: str) -> str:
-    """Return the layer of calibrations that a source of backgrounds was made with: that of a model's training.
+    """Return the layer of calibrations of a source of backgrounds; of a model, the layer of its training.
 
     Args:
         text: as in `open_background`.

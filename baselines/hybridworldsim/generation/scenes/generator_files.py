@@ -56,7 +56,7 @@ class GeneratorFiles:
         return opened
 
     def read_captions(self) -> CachedCaptions | None:
-        """Read the captions; None: no text. No parameters of the generator are read for it.
+        """Read the captions, or return None if there are none; the generator's parameters are not read.
 
         Raises:
             UsageError: the generator was trained without text.

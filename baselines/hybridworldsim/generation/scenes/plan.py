@@ -39,7 +39,7 @@ class ScenePlan:
 
 
 def choose_stride(timestamp_ns: Int64, hz: float | None, default_hz: float = DEFAULT_HZ) -> tuple[int, float]:
-    """Choose every how many frames of a recording are used.
+    """Choose the stride: one of how many frames of a recording is used.
 
     Args:
         timestamp_ns: (N,) times of its frames, N at least 2.

@@ -41,7 +41,7 @@ def rate_of(timestamps_ns: Sequence[int]) -> float:
 
 
 def rate_note(rates_hz: Sequence[float], trained_hz: tuple[float, float] | None) -> str:
-    """Warn if a rate is outside those of the training; the text is empty if it is not.
+    """Return a warning if a rate is outside the rates of the training, else an empty text.
 
     Args:
         rates_hz: rates at which frames are generated.

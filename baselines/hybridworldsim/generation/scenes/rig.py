@@ -83,7 +83,7 @@ class SceneRig:
         return replace(self, ego_SE3_camera=other.ego_SE3_camera, recalibrated=other.lenses)
 
     def images(self, frame: Frame) -> tuple[UInt8, Bool]:
-        """Return a frame's images (V, H, W, 3) in the generator's raster, and their pixels (V, H, W) of the street.
+        """Return a frame's images (V, H, W, 3) in the generator's raster, and a mask (V, H, W) of pixels of the street.
 
         Pixels outside the lens, on the recording vehicle, and of a missing image are not of the street.
         """
@@ -99,7 +99,7 @@ class SceneRig:
         return images, street
 
     def views(self, frame: Frame, world_SE3_ego: Poses, light: str, weather: str) -> list[RenderView]:
-        """Return the views of a frame from an ego pose (one), with the lens that images are undistorted to."""
+        """Return the views of a frame from one ego pose, with the lenses to which images are undistorted."""
         views = []
         for row, camera in enumerate(self.cameras):
             lens = self.view_lens(row)

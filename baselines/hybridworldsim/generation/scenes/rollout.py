@@ -66,7 +66,7 @@ def require_size(config: TransformerConfig, size_px: tuple[int, int], remedy: st
 def require_codec(
     config: TransformerConfig, codec: LatentCodec, file: Path, place: str, expected: str, remedy: str
 ) -> None:
-    """Check that an autoencoder has the latents of a network.
+    """Check that the latents of an autoencoder fit a network.
 
     Args:
         config: the network.

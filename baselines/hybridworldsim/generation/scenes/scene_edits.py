@@ -82,7 +82,7 @@ def parse_edit(text: str, tracks: Mapping[str, int]) -> SceneEdit:
 
 
 def require_shown(edits: Sequence[SceneEdit], boxes: ClipBoxes, tracks: Mapping[str, int]) -> None:
-    """Check that each moved road user is there to be moved.
+    """Check that each road user that an edit moves has a box in the generated frames and was not removed before.
 
     Args:
         edits: in order.

@@ -106,7 +106,7 @@ class AutoencoderTrainer:
 
 @torch.no_grad()
 def reconstruction_psnr_db(model: TinyAutoencoder, images: UInt8) -> float:
-    """Return the mean PSNR of reconstructed images (N, H, W, 3), in dB: it bounds what is generated from latents."""
+    """Return the mean PSNR of reconstructed images (N, H, W, 3), in dB: an upper bound for generated images."""
     errors = []
     for first in range(0, len(images), 32):
         batch = to_tensor(images[first : first + 32])

@@ -12,7 +12,7 @@ from mirror.arrays import Int64, UInt8
 
 
 class ClipImages:
-    """The images of each clip, frame by frame and view by view, then its backgrounds; then those of the next clip.
+    """The images of each clip, frame by frame and view by view, then its backgrounds; clip after clip.
 
     Args:
         clips: clips of one size.

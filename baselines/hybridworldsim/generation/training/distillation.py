@@ -61,7 +61,7 @@ def segment_end(level: Tensor, segments: int) -> Tensor:
 
 
 class ConsistencyLoss(nn.Module):
-    """The squared error between the student's jump and that of its average, a small teacher's step later.
+    """The squared error between the student's jump and its averaged copy's jump from one small teacher's step later.
 
     Args:
         student: the network in training.
@@ -129,7 +129,7 @@ def _wide(level: Tensor) -> Tensor:
 
 
 class DistillationTrainer(GeneratorTrainer):
-    """A student in training. It begins as its teacher.
+    """A trainer of a student, which starts as a copy of its teacher.
 
     Args:
         settings: how steps are made; the weighting is not used.

@@ -86,7 +86,7 @@ class GeneratorSettings:
         noise_levels(self.self_rollout_steps)
 
     def require_shares(self, processes: int) -> None:
-        """Check that a batch can be shared.
+        """Check that a batch can be divided into equal parts among processes and accumulated steps.
 
         Raises:
             UsageError: its parts on so many processes would differ in size.
@@ -100,7 +100,7 @@ class GeneratorSettings:
 
     @property
     def document(self) -> dict[str, Any]:
-        """All settings as JSON values; those of a self-rollout only where there is one."""
+        """All settings as JSON values; the settings of a self-rollout only if there is one."""
         from dataclasses import asdict
 
         document = asdict(self)

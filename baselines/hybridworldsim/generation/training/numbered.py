@@ -33,7 +33,7 @@ def numbered_training(
     sample: Callable[[int], None] | None = None,
     psnr_db: Callable[[], float] | None = None,
 ) -> Training[GenerationOutcome]:
-    """Return the training of a number of steps.
+    """Make a training that takes a number of steps.
 
     Args:
         trainer: what is trained.

@@ -219,7 +219,7 @@ def rates_of(clips: Sequence[ClipHeader]) -> tuple[float, float]:
 
 
 def with_text_of(settings: GeneratorSettings, captions: Path) -> GeneratorSettings:
-    """Return settings for a network that takes captions as wide as those of a file of embeddings.
+    """Return settings for a network that takes captions of the widths in a file of embeddings.
 
     Raises:
         WeightsUnavailableError: the file is missing or broken, or its embeddings differ in width.
@@ -232,7 +232,7 @@ def with_text_of(settings: GeneratorSettings, captions: Path) -> GeneratorSettin
 def read_clip_captions(
     path: Path | None, config: TransformerConfig, clips: Sequence[ClipHeader]
 ) -> CachedCaptions | None:
-    """Read the captions of clips; None: no text.
+    """Read the captions of clips; None if the training uses no text.
 
     Raises:
         UsageError: a view of a clip has none.

@@ -174,7 +174,7 @@ class ClipWindows:
         return int(self._starts[-1])
 
     def batch(self, numbers: Sequence[int]) -> WindowBatch:
-        """Return the windows of these numbers."""
+        """Return a batch of the windows with given numbers."""
         places = [self._place(number) for number in numbers]
         targets, references, conditions, present, weights = [], [], [], [], []
         # One after another: the clips of a batch need not fit in what is kept.
@@ -285,7 +285,7 @@ def _pixels(clip: ClipHeader) -> str:
 def require_fit(
     codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int, file: Path | None = None
 ) -> None:
-    """Check that an autoencoder and a layout belong to a network.
+    """Check that an autoencoder and a layout fit a network.
 
     Args:
         codec: the autoencoder.

@@ -19,7 +19,7 @@ def cell_keys(points: Tensor, size_m: float) -> Tensor:
 
 
 def best_per_cell(keys: Tensor, scores: Tensor) -> Tensor:
-    """Return the row of highest score for each key (M,), the first of equal ones.
+    """Return the row with the highest score for each key (M,); of equal scores, the first row.
 
     The best rows come first.
     """

@@ -54,7 +54,7 @@ class PosedImage:
 def list_posed_images(
     dataset: Dataset, pixels: Pixels, withheld: Set[ImageKey] = frozenset(), stationary_m: float = STATIONARY_M
 ) -> list[PosedImage]:
-    """List the images of a dataset view in order of traversal, camera and time, without those of a standing vehicle.
+    """List the images of a dataset view by traversal, camera and time, except images of a standing vehicle.
 
     Images from one position would confirm each other's errors.
 

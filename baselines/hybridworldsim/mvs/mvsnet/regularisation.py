@@ -9,7 +9,7 @@ from hybridworldsim.mvs.mvsnet.features import CHANNELS
 
 
 class CostRegularisation(nn.Module):
-    """Halves the sides three times and doubles them three times, with skip connections that are added."""
+    """A network that halves the sides three times and doubles them three times, with added skip connections."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -38,7 +38,7 @@ class InitialisationLayers:
 
     @property
     def work_folder(self) -> Path:
-        """The folder of unfinished work, which is kept until all layers are complete; other inputs get another one."""
+        """The folder of unfinished work, kept until all layers are complete; other inputs use another folder."""
         return work_folder(self.layout, DEPTH, self.name, hash_values(dict(self.input_hashes)))
 
     def folder(self, traversal_id: str, kind: str) -> Path:

@@ -77,7 +77,7 @@ class TinyAnnotator:
         )
 
     def close(self) -> None:
-        """Do nothing: nothing is held but memory."""
+        """Do nothing: only memory is held."""
 
 
 class _Installed:

@@ -22,7 +22,7 @@ _FAR = 5.0
 
 @dataclass(frozen=True, eq=False)
 class DenseOutput:
-    """Outputs of the dense head; leading axes are those of the cells: (N, H, W), (B, cells) or others.
+    """Outputs of the dense head; their leading axes index cells, such as (N, H, W) or (B, cells).
 
     Attributes:
         logits: (..., classes).
@@ -54,7 +54,7 @@ class DenseOutput:
         return replace(self, **{name: value.flatten(1, 3)[rows, cells] for name, value in vars(self).items()})
 
     def peaks(self) -> Tensor:
-        """Return the best logits (B, N, H, W) of cells; far below all others beside a cell with a better one."""
+        """Return the best logits (B, N, H, W) of cells, lowered by 100 where an adjacent cell has a higher one."""
         best = self.logits.amax(-1)
         around = nn.functional.max_pool2d(best.flatten(0, 1)[:, None], 3, 1, 1)[:, 0].unflatten(0, best.shape[:2])
         return torch.where(best >= around, best, best - 100.0)

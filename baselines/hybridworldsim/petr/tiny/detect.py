@@ -39,7 +39,7 @@ def find_boxes(network: TinyPetr, cameras: CameraInput, *, min_score: float = 0.
 
 
 def read_boxes(output: HeadOutput, min_score: float) -> DecodedBoxes:
-    """Return the boxes of the first frame: at most one for each query, of the class with its best score."""
+    """Return the boxes of the first frame: at most one for each query, of its class with the best score."""
     best = output.logits.amax(-1, keepdim=True)
     alone = torch.where(output.logits >= best, output.logits, output.logits.new_tensor(-50.0))
     boxes = decode_boxes(replace(output, logits=alone), "length-width", most=_MOST, min_score=max(min_score, 1e-6))

@@ -103,7 +103,7 @@ def write_inputs(path: Path, inputs: FamiliarInputs) -> None:
 
 
 def read_inputs(path: Path, model_sha256: str) -> FamiliarInputs | None:
-    """Read the document of a model; None: it has none.
+    """Read the document of a model; None if it has no document.
 
     Raises:
         UsageError: the document belongs to another model, or to other statistics.

@@ -55,7 +55,7 @@ def _down(channels: int, out: int) -> nn.Sequential:
 
 
 class Backbone(nn.Module):
-    """Features (B, dim, H / 8, W / 8) of images (B, 3, H, W)."""
+    """A network that maps images (B, 3, H, W) to features (B, dim, H / 8, W / 8)."""
 
     def __init__(self, channels: tuple[int, int, int, int], dim: int) -> None:
         super().__init__()

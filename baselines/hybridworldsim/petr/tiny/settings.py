@@ -84,7 +84,7 @@ class TrainingSettings:
 
 
 def training_settings(given: Mapping[str, str]) -> TrainingSettings:
-    """Return the training settings from text by name.
+    """Parse the training settings from texts by name.
 
     Raises:
         UsageError: a name is unknown, or a value is not a number in its range.

@@ -26,7 +26,7 @@ class AgentGroup(Protocol):
         ...
 
     def advance(self, step: int, boxes: Boxes, rows: Int64) -> AgentStates:
-        """Return the states after a step, from the boxes of all actors before it; ``rows`` are those of the group."""
+        """Return the states after a step, from the boxes of all actors before it; ``rows`` index the group's boxes."""
         ...
 
 

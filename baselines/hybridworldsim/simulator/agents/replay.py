@@ -35,7 +35,7 @@ class RecordedTrack:
             )
 
     def at(self, time_s: Float64) -> Float64:
-        """Return poses (K, 3) at times (K,), linear in time; those at the ends are kept beyond the ends."""
+        """Return poses (K, 3) at times (K,), linear in time; before the first and after the last, the nearest pose."""
         yaw = np.unwrap(self.poses[:, 2])
         columns = (self.poses[:, 0], self.poses[:, 1], yaw)
         return np.column_stack([np.interp(time_s, self.times_s, values) for values in columns])

@@ -39,7 +39,7 @@ class Agent:
 
 @dataclass(frozen=True, eq=False)
 class AgentStates:
-    """States of N agents: of the middles of their boxes, in the world. Values of absent agents are not read.
+    """States of N agents at the middles of their boxes, in the world; values of absent agents are not read.
 
     Attributes:
         x_m: (N,) positions.

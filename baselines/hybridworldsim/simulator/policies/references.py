@@ -41,7 +41,7 @@ class ConstantVelocity(_Reference):
     privileged = False
 
     def act(self, observation: Observation) -> Action:
-        """Return no acceleration and the present curvature."""
+        """Return controls with zero acceleration and the present curvature."""
         return Controls(0.0, curvature_of(self.spec.vehicle, observation.ego))
 
 
@@ -52,7 +52,7 @@ class Stop(_Reference):
     deceleration_mps2: Final = 4.0
 
     def act(self, observation: Observation) -> Action:
-        """Return the braking."""
+        """Return the controls that brake on a straight line."""
         return Controls(-self.deceleration_mps2, 0.0)
 
 
@@ -71,7 +71,7 @@ class Log(_Reference):
 
 
 class LaneKeeping(_Reference):
-    """Keeps to the middle of its route and its distance to whoever is ahead: the intelligent driver model.
+    """A policy that keeps to the middle of its route and its distance to the road user ahead (IDM).
 
     It steers to a point ahead on the route (Coulter, "Implementation of the pure pursuit path tracking algorithm",
     1992), and stops at closed stop lines.

@@ -62,7 +62,7 @@ class Messages:
 
 @lru_cache(maxsize=1)
 def wire() -> Messages:
-    """Return the messages.
+    """Return the classes of the messages.
 
     Raises:
         UsageError: gRPC or protobuf is not installed.

@@ -151,7 +151,7 @@ class RemotePolicy:
         return self._plan(answer.trajectory.poses, observation.odometry, now_us)
 
     def close(self) -> None:
-        """Close the session and the connection. A driver that does not answer is left."""
+        """Close the session and the connection; a driver that does not answer is not waited for."""
         import grpc
 
         if self._channel is None:
@@ -257,7 +257,7 @@ class RemotePolicy:
 
 
 def require_driver(address: str) -> None:
-    """Require that a driver accepts connections, before the minutes that opening a street may take.
+    """Require that a driver accepts connections; call it before a street is opened, which may take minutes.
 
     Raises:
         UsageError: the address is none, or nobody accepts a connection.

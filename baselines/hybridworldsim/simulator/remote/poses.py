@@ -46,7 +46,7 @@ def from_pose(pose: Any, place: str) -> Poses:
 
 
 def flat(poses: Sequence[Any], places: Sequence[str]) -> Float64:
-    """Return x, y and yaw (N, 3) of messages.
+    """Return x, y and yaw (N, 3) of messages of poses.
 
     Raises:
         UsageError: see `from_pose`; the message names the place.

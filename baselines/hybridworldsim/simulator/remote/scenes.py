@@ -91,7 +91,7 @@ class ServedScene:
 
 
 def open_scenes(street: Street, factory: RendererFactory) -> dict[str, ServedScene]:
-    """Open each recorded traversal of a street as a scene; of a model's street, those that it was trained on.
+    """Open recorded traversals of a street as scenes: all, or for a trained model those of its training.
 
     Raises:
         UsageError: the street is so far from the origin of its frame that single precision is too coarse.

@@ -20,7 +20,7 @@ _GRACE_S: Final = 1.0
 
 @contextmanager
 def render_server(service: SensorService, host: str, port: int) -> Iterator[int]:
-    """Serve while the block runs; yields the port.
+    """Run the sensor service while the block runs; yields the port.
 
     Args:
         service: answers the calls.

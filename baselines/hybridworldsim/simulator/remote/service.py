@@ -120,7 +120,7 @@ class SensorService:
         return self._messages.RGBRenderReturn(image_bytes=data)
 
     def render_batch(self, request: Any) -> Any:
-        """Render several images; one that fails does not keep the others from being rendered.
+        """Render several images; an image that fails does not stop the others.
 
         Raises:
             MirrorError: there are more images than are rendered.

@@ -54,7 +54,7 @@ class AgentImage:
 
 
 class AgentLayer:
-    """Draws the agents of a rollout. One scene serves all of it; its road users read the live states.
+    """Draws the agents of a rollout, in one scene whose road users read the live states.
 
     Args:
         street: the street.

@@ -64,7 +64,7 @@ def free_space(rings: Sequence[Float64], middle_m: tuple[float, float], radius_m
 
 
 def hiding_depth(agents: AgentImage) -> Float32:
-    """Return the camera z (H, W) before which the street hides the agents; 0 or less: nothing can."""
+    """Return the camera z (H, W) in front of which the street hides the agents; 0 or less where it never does."""
     own = np.where(agents.alpha > 0.0, agents.depth_m, 0.0)
     return ((own - TOLERANCE_M) / (1.0 + TOLERANCE_SHARE)).astype(np.float32)
 
@@ -143,7 +143,7 @@ def _compose(
 def add_contact_shadows(
     rgb: UInt8, depth_m: Float32, lens: Float64, rotation: Float64, origin: Float64, boxes: Float64
 ) -> None:
-    """Darken the ground under and around agents, as their bodies keep the light of the sky from it.
+    """Darken the ground under and around agents, where their bodies block the light of the sky.
 
     Args:
         rgb: (H, W, 3) image; modified.

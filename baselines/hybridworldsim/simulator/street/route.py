@@ -137,7 +137,7 @@ def poses_on(way: Way, along_m: Float64) -> tuple[Float64, Float64, Float64]:
 
 
 def onward_lanes(road_map: RoadMap, first: str, rng: np.random.Generator | None = None) -> tuple[str, ...]:
-    """Return the lanes straight on from a lane, or with random turns."""
+    """Return the lanes onward from a lane: straight on, or with random turns."""
     return tuple(_onward(road_map, first, (), rng))
 
 

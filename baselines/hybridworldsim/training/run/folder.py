@@ -102,7 +102,7 @@ class RunFolder(Generic[OutcomeT]):
             yield
 
     def resume(self, trained: Stateful) -> Position:
-        """Restore what is trained from the checkpoint, if there is one, and return the position.
+        """Restore the trained state from the checkpoint, if there is one, and return the position.
 
         Raises:
             DatasetError: the checkpoint is broken or belongs to another model.
@@ -130,7 +130,7 @@ class RunFolder(Generic[OutcomeT]):
             write_checkpoint(self._checkpoint, training.trained.state(), position)
 
     def require_finite(self, training: Training[OutcomeT], position: Position) -> None:
-        """Check what was learned.
+        """Check that all learned parameters are finite.
 
         Raises:
             DatasetError: a number is not finite.

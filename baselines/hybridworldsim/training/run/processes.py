@@ -41,7 +41,7 @@ class Processes:
         return self.rank == 0
 
     def any(self, flag: bool) -> bool:
-        """Return whether the flag is set in some process; all must ask."""
+        """Return whether the flag is set in at least one process; every process must call it."""
         if self.count == 1:
             return flag
         shared = torch.tensor(float(flag), device=self.device)
@@ -74,7 +74,7 @@ ALONE: Final = Processes()
 
 
 def leads_process() -> bool:
-    """Return whether this process is the only one or the leading one of those that ``torchrun`` started: it prints."""
+    """Return whether this process prints: it is the only one, or the leading one that ``torchrun`` started."""
     return int(os.environ.get("RANK", "0")) == 0
 
 

@@ -44,7 +44,7 @@ def gravel(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def plaster(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Render with fine bumps, strokes of the float and faint patches."""
+    """Draw plaster with fine bumps, strokes of the float and faint patches."""
     bumps = waves(rng, size, 0.02, 0.004, 0.3)
     strokes = waves(rng, size, 0.12, 0.012, 0.6, 0.35)
     return 1.0 + 0.028 * bumps + 0.018 * strokes + 0.022 * waves(rng, size, 0.5, 0.06, 0.9)

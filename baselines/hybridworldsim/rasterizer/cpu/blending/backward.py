@@ -230,7 +230,7 @@ def reduce_lines(
     absgrad: Float32,
     sums: Float32,
 ) -> None:
-    """Add the lines of each Gaussian, and convert the sums to gradients.
+    """Sum the gradient lines of each Gaussian over tiles, and convert the sums to gradients.
 
     Args:
         begin: first Gaussian.

@@ -88,7 +88,7 @@ class Canvas(NamedTuple):
 
 
 def make_canvas(width: int, height: int, channels: int) -> Canvas:
-    """Make an empty canvas; pixels outside the image are done."""
+    """Make an empty canvas; pixels outside the image are marked as done."""
     tiles_x, tiles_y = -(-width // TILE_PX), -(-height // TILE_PX)
     count = tiles_x * tiles_y
     transmittance = full_aligned(count * PIXELS, 1.0)

@@ -53,7 +53,7 @@ _SQUARE_MIN, _SQUARE_MAX = QUATERNION_MIN**2, QUATERNION_MAX**2
 
 @kernel(inline="always")
 def rotation(quaternion: Any) -> Any:
-    """Compute the three rows of a quaternion's rotation, 2 / its squared norm, and whether it is a rotation."""
+    """Compute the three rows of a quaternion's rotation, 2 / its squared norm, and whether the quaternion is valid."""
     w, x, y, z = quaternion
     square = w * w + x * x + y * y + z * z
     k = 2.0 / square
@@ -193,7 +193,7 @@ def write_records(
     output: Any,
     counts: Any,
 ) -> Any:
-    """Write those of eight ellipses that reach the image; return the new number of records.
+    """Write records of the ellipses, out of eight, that reach the image; return the new number of records.
 
     Args:
         camera: `KernelCamera`.

@@ -90,6 +90,9 @@ ingest text.txt --reader nmea --roi 11,48 --out a
 ingest text.txt --reader mcap --roi 11,48 --out a
 ingest empty --reader nuscenes --roi 11,48 --out a
 ingest empty --reader kitti360 --roi 11,48 --out a
+ingest empty --reader kitti_odometry --roi 11,48 --out a
+ingest empty --reader kitti_raw --roi 11,48 --out a
+ingest text.txt --reader video_gps --roi 11,48 --out a
 ingest empty --reader colmap --roi 11,48 --out a
 ingest empty --reader waymo --roi 11,48 --out a
 ingest empty --reader ncore --roi 11,48 --out a

@@ -52,6 +52,7 @@ class Rollout(Document):
         reason: an explanation of the ending, for instance the policy's error.
         route_m: points (x, y) of the ego's route in the scene's frame, in order.
         threads: number of threads of the renderer; None: nothing was rendered.
+        views: what became of the views of a drive with generated road users; None: all are rendered alike.
         versions: versions of the toolkit and of packages that affect the rollout.
         files: size and SHA-256 of the files, by path relative to the folder.
     """
@@ -74,14 +75,15 @@ class Rollout(Document):
     reason: str | None = None
     route_m: tuple[tuple[Number, Number], ...]
     threads: int | None = None
+    views: dict[str, int] | None = None
     versions: dict[str, str]
     files: dict[str, FileEntry]
 
     @property
     def hash(self) -> str:
         """SHA-256 of the canonical content, apart from the versions; it covers the files by their hashes."""
-        # Rollouts that do not state the source of their map keep the hash that they had before it could be stated.
-        unstated = {"map_source"} if self.map_source is None else set()
+        # Rollouts that do not state the source of their map, or counts of views, keep the hash that they had before.
+        unstated = {name for name in ("map_source", "views") if getattr(self, name) is None}
         plain = self.model_dump(mode="json", exclude={"versions", *unstated})
         return hash_document(plain, HashStyle.CANONICAL)
 

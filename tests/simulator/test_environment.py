@@ -104,7 +104,8 @@ def test_bad_actions_are_refused_and_change_nothing() -> None:
     [
         ({"cameras": ("side",)}, "no camera 'side'"),
         ({"renderer": "oil-paint"}, "no renderer"),
-        ({"renderer": "generated"}, "no renderer"),
+        ({"renderer": "dreamed"}, "no renderer"),
+        ({"renderer": "generated"}, "needs a model"),
         ({"renderer": "reconstructed"}, "needs a model"),
         ({"model": "somewhere"}, "has no model"),
         ({"action": "wish"}, "action 'wish'"),

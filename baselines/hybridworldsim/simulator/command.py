@@ -17,11 +17,13 @@ from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from hybridworldsim.simulator.policies.protocol import Policy
+    from hybridworldsim.simulator.renderers.generated import DriveGenerator
     from hybridworldsim.simulator.rollout.run import RolloutRequest, RolloutResult
 
 _EXAMPLES = (
     "mirror simulate demo/block/dataset --scenario hard-brake --policy idm --out rollout",
     "mirror simulate demo/block/dataset demo/block/model --scenario cut-in --policy idm --out rollout",
+    "mirror simulate data model --generator generator --width 96 --height 64 --scenario cut-in --policy idm --out run",
 )
 _SYNTH = "synth:"
 
@@ -50,14 +52,25 @@ class Arguments:
     driver: Annotated[Path | None, help_text(default="front_wide as JPEG, 30 s", metavar="FILE.toml")] = None
     """Cameras, lens, image format and deadline of a driver at an address."""
     renderer: Annotated[
-        Literal["boxes", "exact", "reconstructed"] | None,
-        help_text(default="reconstructed for a model, exact for a synthetic street, else boxes"),
+        Literal["boxes", "exact", "reconstructed", "generated"] | None,
+        help_text(default="that of the generator or the model, exact for a synthetic street, else boxes"),
     ] = None
-    """What renders the images: wireframes, the synthetic street, a trained model."""
+    """What renders the images: wireframes, the synthetic street, a trained model, or one with generated road users."""
+    generator: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
+    """Generator of road users, which `mirror generate train` wrote, over the street of MODEL. The drive runs at the
+    rate of its training."""
+    sampler_steps: int = 4
+    """Steps of the generator's sampler."""
+    blend: Annotated[str, help_text(metavar="PIXELS|none")] = "4"
+    """Use generated pixels only in the hulls of boxes, grown by this many pixels; elsewhere the street stays. none: use
+    them everywhere."""
+    fallback: Annotated[Literal["reconstructed"] | None, help_text(default="refuse such a scenario")] = None
+    """What shows views with agents of a class that the generator does not know."""
     method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
     """The file of MODEL's method, if that is not installed: that of the training."""
     device: Annotated[str | None, help_text(default="auto", metavar="auto|cpu|cuda[:N]")] = None
-    """Where MODEL renders. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
+    """Where MODEL renders and the generator runs. auto: a GPU that torch and gsplat can use, else the CPU. The first
+    line says which."""
     scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
     """Scene of the dataset."""
     boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
@@ -129,11 +142,14 @@ def _request(arguments: Arguments) -> RolloutRequest:
         raise UsageError(
             "no model here", file=arguments.model, place="MODEL", expected="a folder that `mirror reconstruct` wrote"
         )
-    name = arguments.renderer or ("reconstructed" if arguments.model else "exact" if is_synth else "boxes")
+    plain_name = "reconstructed" if arguments.model else "exact" if is_synth else "boxes"
+    name = arguments.renderer or ("generated" if arguments.generator else plain_name)
     device = choose_renderer_device(arguments.device, arguments.model, arguments.method)
     if device is not None and not arguments.json:
         print(device, flush=True)
-    factory = RendererFactory(name, arguments.model, arguments.method, device=CPU if device is None else device.name)
+    generator = _generator(arguments)
+    device_name = CPU if device is None else device.name
+    factory = RendererFactory(name, arguments.model, arguments.method, device=device_name, generator=generator)
     seed, policy_name = arguments.seed, arguments.policy
     if arguments.replay is not None:
         if arguments.scenario is not None or policy_name is not None or seed is not None:
@@ -155,6 +171,8 @@ def _request(arguments: Arguments) -> RolloutRequest:
     else:
         file = scenario_file(arguments.scenario)
         scenario, policy = read_scenario(arguments.scenario), _policy(arguments, policy_name)
+    if generator is not None and arguments.replay is None:
+        scenario = generator.at_trained_rate(scenario)
     if arguments.duration is not None:
         if round(arguments.duration * scenario.rate_hz) < 1:
             raise UsageError(
@@ -195,8 +213,28 @@ def _request(arguments: Arguments) -> RolloutRequest:
         # A remote policy's own calls end at its deadline.
         deadline_s=math.inf if arguments.deadline is None or "://" in policy_name else arguments.deadline,
         dataset_hash=dataset_hash,
-        model_hash=None if arguments.model is None else _model_hash(arguments.model),
+        model_hash=None if arguments.model is None else _model_hash(arguments.model, generator),
     )
+
+
+def _generator(arguments: Arguments) -> DriveGenerator | None:
+    if arguments.generator is None:
+        for option, is_given in (("--fallback", arguments.fallback is not None), ("--blend", arguments.blend != "4")):
+            if is_given:
+                raise UsageError("it concerns generated road users", place=option, expected="--generator beside it")
+        return None
+    from hybridworldsim.generation.commands.model_paths import find_model_files
+    from hybridworldsim.generation.commands.scene import parse_blend
+    from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
+    from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
+    from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
+    from hybridworldsim.simulator.renderers.generated import DriveGenerator
+
+    if arguments.sampler_steps < 1:
+        raise UsageError(f"{arguments.sampler_steps} steps", place="--sampler-steps", expected="at least 1")
+    rollout = ClipRolloutOptions(SamplerSettings(arguments.sampler_steps), blend_px=parse_blend(arguments.blend))
+    files = GeneratorFiles(*find_model_files(arguments.generator, None))
+    return DriveGenerator(files, rollout, falls_back=arguments.fallback is not None)
 
 
 def _policy(arguments: Arguments, name: str) -> Policy:
@@ -223,7 +261,7 @@ def _dataset_hash(source: str) -> str | None:
     return mirror.open(source).index_sha256
 
 
-def _model_hash(folder: Path) -> str:
+def _model_hash(folder: Path, generator: DriveGenerator | None) -> str:
     import hashlib
 
     digest = hashlib.sha256()
@@ -232,6 +270,8 @@ def _model_hash(folder: Path) -> str:
     for path in files:
         digest.update(path.relative_to(folder).as_posix().encode())
         digest.update(path.read_bytes())
+    if generator is not None:
+        digest.update("".join(generator.files.hashes().values()).encode())
     return digest.hexdigest()
 
 
@@ -250,6 +290,7 @@ def _plain(result: RolloutResult, same: bool | None) -> dict[str, Any]:
         "steps": rollout.steps,
         "rendered": result.rendered,
         "road_map": rollout.map_source,
+        "views": rollout.views,
         "same_states": same,
         "safety": {
             name: figure.value if math.isfinite(figure.value) else None
@@ -259,7 +300,7 @@ def _plain(result: RolloutResult, same: bool | None) -> dict[str, Any]:
 
 
 def _print(result: RolloutResult, same: bool | None) -> None:
-    from hybridworldsim.simulator.rollout.run import describe_map, describe_safety
+    from hybridworldsim.simulator.rollout.run import describe_map, describe_safety, describe_views
 
     rollout = result.rollout
     worst, *others = describe_safety(result.safety)
@@ -271,6 +312,8 @@ def _print(result: RolloutResult, same: bool | None) -> None:
     for line in others:
         print(f"  {line}")
     print(f"  {describe_map(rollout.map_source)}")
+    if rollout.views is not None:
+        print(f"  at {rollout.rate_hz:g} Hz; views: {describe_views(rollout.views)}")
     if same is not None:
         print("  the states are those of the earlier rollout, bit for bit" if same else "  the states differ")
     print(f"next: mirror evaluate {result.folder} --protocol safety")

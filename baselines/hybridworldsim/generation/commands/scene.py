@@ -128,7 +128,7 @@ def run_scene(argv: Sequence[str]) -> int:
     dataset = with_box_layer(mirror.open(arguments.dataset), arguments.boxes)
     base = _base(arguments)
     sampler = _sampler(arguments, base)
-    rollout = ClipRolloutOptions(sampler, arguments.keep_empty_views, _blend_px(arguments.blend), arguments.seed)
+    rollout = ClipRolloutOptions(sampler, arguments.keep_empty_views, parse_blend(arguments.blend), arguments.seed)
     if base is None or arguments.vae is None:
         generator, autoencoder = find_model_files(arguments.generator, arguments.autoencoder)
     else:
@@ -258,7 +258,12 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(height), int(width)
 
 
-def _blend_px(text: str) -> int | None:
+def parse_blend(text: str) -> int | None:
+    """Read the pixels by which hulls of boxes are grown; None: generated pixels are used everywhere.
+
+    Raises:
+        UsageError: the text is neither a number nor ``none``.
+    """
     if text == "none":
         return None
     if not text.isdecimal():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import gymnasium
 import numpy as np
@@ -24,6 +24,9 @@ from mirror.errors import UsageError
 from mirror.metrics.safety import StateLog
 from mirror.schema.folders import FolderKind, find_kind
 from mirror.schema.scenario import Scenario, read_scenario, scenario_file
+
+if TYPE_CHECKING:
+    from hybridworldsim.simulator.renderers.generated import DriveGenerator
 
 TRAJECTORY_TIMES_S: Final = 0.5 * np.arange(1.0, 9.0)
 """Times of the poses of a trajectory action, from the observation on."""
@@ -47,11 +50,14 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         street: ``synth:PRESET[:SEED[:DRIVE]]``, the folder of a dataset, or a `Street`.
         scenario: name of a scenario, path of its .toml, or a `Scenario`.
         cameras: names of the cameras; no image is rendered of others.
-        renderer: ``boxes``, ``exact`` or ``reconstructed``; None: ``reconstructed`` with a model, else ``boxes``.
+        renderer: ``boxes``, ``exact``, ``reconstructed`` or ``generated``; None: ``generated`` with a generator,
+            ``reconstructed`` with a model, else ``boxes``.
         action: ``controls`` or ``trajectory``.
         width_px: width of the images; None: that of the rig.
         height_px: height of the images; None: in proportion.
-        model: folder of the trained model, for ``reconstructed``.
+        model: folder of the trained model, for ``reconstructed`` and ``generated``.
+        generator: folder that `mirror generate train` wrote, for ``generated``; episodes run at the rate of its
+            training.
         method: ``FILE.py:OBJECT`` of the model's method; None: it is installed.
         scene: scene of the dataset; None: it has only one.
         road_map: file of the map; None: exact for a synthetic street; for a dataset its recorded map, or a fitted one.
@@ -77,6 +83,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         road_map: str | Path | None = None,
         render_mode: str | None = None,
         method: str | None = None,
+        generator: str | Path | None = None,
     ) -> None:
         if action not in ("controls", "trajectory"):
             raise UsageError(f"action {action!r}", expected="controls or trajectory")
@@ -94,8 +101,12 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
                 place="model",
                 expected="a folder that `mirror reconstruct` wrote",
             )
-        name = renderer or ("boxes" if model is None else "reconstructed")
-        self._factory = RendererFactory(name, None if model is None else Path(model), method, option="method=")
+        name = renderer or ("boxes" if model is None else "reconstructed" if generator is None else "generated")
+        choice = None if generator is None else _open_generator(Path(generator))
+        if choice is not None:
+            self._scenario = choice.at_trained_rate(self._scenario)
+        model_path = None if model is None else Path(model)
+        self._factory = RendererFactory(name, model_path, method, option="method=", generator=choice)
         self._kind = action
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self._scenario.rate_hz}
@@ -194,6 +205,14 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             "rendered": self.rendered,
             "seed": self.simulation.seed,
         }
+
+
+def _open_generator(folder: Path) -> DriveGenerator:
+    from hybridworldsim.generation.commands.model_paths import find_model_files
+    from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
+    from hybridworldsim.simulator.renderers.generated import DriveGenerator
+
+    return DriveGenerator(GeneratorFiles(*find_model_files(folder, None)))
 
 
 def observation_dict(

@@ -79,6 +79,10 @@ class Renderer(ABC):
         self.rendered += len(views)
         return self._draw_views(snapshot, views)
 
+    def view_counts(self) -> dict[str, int] | None:
+        """Return what became of the views so far; None: all are rendered alike."""
+        return None
+
     @abstractmethod
     def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]: ...
 

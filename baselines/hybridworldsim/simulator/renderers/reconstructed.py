@@ -182,6 +182,16 @@ class ReconstructedRenderer(Renderer):
         in_parallel(work, len(views))
         return {view.name: images[view.name] for view in views}
 
+    def draw_empty(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
+        """Return the images (H, W, 3), RGB, of the street without agents, all at one instant."""
+        images: dict[str, UInt8] = {}
+
+        def work(number: int) -> None:
+            images[views[number].name] = self._background(views[number], snapshot, None)[0]
+
+        in_parallel(work, len(views))
+        return images
+
     def agent_masks(self) -> Mapping[str, Int32]:
         """Return, for the last images, the number (H, W) of the agent that each pixel shows; -1: none."""
         return self._shown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from hybridworldsim.simulator.policies.protocol import CameraSpec
 from hybridworldsim.simulator.renderers.protocol import Renderer
@@ -16,7 +16,13 @@ from mirror.errors import UsageError
 from mirror.methods.model import ModelFolder
 from mirror.schema.scenario import Scenario
 
-RENDERERS: Final = ("boxes", "exact", "reconstructed")
+if TYPE_CHECKING:
+    from hybridworldsim.generation.scenes.rollout import SceneGenerator
+    from hybridworldsim.simulator.renderers.generated import DriveGenerator
+    from hybridworldsim.simulator.renderers.reconstructed import ReconstructedRenderer
+
+RENDERERS: Final = ("boxes", "exact", "reconstructed", "generated")
+_OF_MODEL: Final = ("reconstructed", "generated")
 
 
 class RendererFactory:
@@ -24,13 +30,15 @@ class RendererFactory:
 
     Args:
         name: one of `RENDERERS`.
-        model: folder of the trained model, for ``reconstructed``.
+        model: folder of the trained model, for ``reconstructed`` and ``generated``.
         method: ``FILE.py:OBJECT`` of the model's method; None: it is installed.
         option: how the user names the method, for messages.
         device: where the model renders, see `mirror.methods.model.ModelFolder.choose_device`.
+        generator: the generator, for ``generated``.
 
     Raises:
-        UsageError: there is no such renderer, the model is missing, or a method is named without one.
+        UsageError: there is no such renderer, the model or the generator is missing, or one is named for a renderer
+            that takes none.
     """
 
     def __init__(
@@ -41,19 +49,28 @@ class RendererFactory:
         *,
         option: str = "--method ",
         device: str = CPU,
+        generator: DriveGenerator | None = None,
     ) -> None:
         if name not in RENDERERS:
             raise UsageError(f"no renderer {name!r}", expected=f"one of {', '.join(RENDERERS)}")
-        if (name == "reconstructed") != (model is not None):
+        if (name in _OF_MODEL) != (model is not None):
             raise UsageError(
                 f"the renderer {name!r} {'needs a model' if model is None else 'has no model'}", place="model",
-                expected="the folder of a trained model with the renderer 'reconstructed', and none with others",
+                expected="the folder of a trained model with 'reconstructed' and 'generated', and none with others",
+            )  # fmt: skip
+        if (name == "generated") != (generator is not None):
+            raise UsageError(
+                f"the renderer {name!r} {'needs a generator' if generator is None else 'has no generator'}",
+                place="generator", expected="a generator with the renderer 'generated', and none with others",
+                remedy="name one that `mirror generate train` wrote, or another renderer",
             )  # fmt: skip
         if method is not None and model is None:
             raise UsageError(method, place=option.strip(" ="), expected="none without a model: it renders one")
         self.name, self._model_path = name, model
         self._method, self._option, self._device = method, option, device
         self._model: object = None
+        self._generator = generator
+        self._opened: dict[tuple[tuple[int, int], ...], SceneGenerator] = {}
 
     def require_model_of(self, street: Street) -> None:
         """Require that the model, if there is one, is of a street; it is not opened.
@@ -93,6 +110,8 @@ class RendererFactory:
 
             street, scenario = simulation.street, simulation.scenario
             return ExactRenderer(street, scenario, simulation.now, cameras, simulation.seed)
+        if self._generator is not None:
+            return self._make_generated(self._generator, simulation, cameras)
         return self.make_at(simulation.street, simulation.scenario, simulation.now, cameras)
 
     def make_at(
@@ -117,6 +136,35 @@ class RendererFactory:
             from hybridworldsim.simulator.renderers.boxes import BoxesRenderer
 
             return BoxesRenderer(street, cameras)
+        if self._generator is not None:
+            raise UsageError(
+                "views from anywhere of the renderer 'generated'", place="renderer",
+                expected="a renderer that shows each instant by itself, such as 'reconstructed'",
+            )  # fmt: skip
+        return self._reconstructed(street, scenario, start, cameras, appearance)
+
+    def _make_generated(
+        self, choice: DriveGenerator, simulation: Simulation, cameras: Mapping[str, CameraSpec]
+    ) -> Renderer:
+        from hybridworldsim.simulator.renderers.generated import GeneratedRenderer
+
+        street, scenario = simulation.street, simulation.scenario
+        base = self._reconstructed(street, scenario, simulation.now, cameras, None)
+        sizes = tuple((one.camera.height_px, one.camera.width_px) for one in cameras.values())
+        if sizes not in self._opened:
+            self._opened[sizes] = choice.open(cameras, self._device)
+        return GeneratedRenderer(
+            self._opened[sizes], choice, base, street, simulation.now, cameras, scenario.rate_hz, simulation.seed
+        )
+
+    def _reconstructed(
+        self,
+        street: Street,
+        scenario: Scenario,
+        start: Snapshot,
+        cameras: Mapping[str, CameraSpec],
+        appearance: str | None,
+    ) -> ReconstructedRenderer:
         from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
 
         if not isinstance(self._model, OpenModel):

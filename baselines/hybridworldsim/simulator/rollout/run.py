@@ -191,7 +191,7 @@ class _Drive:
         cameras: Sequence[str],
         reporter: ProgressReporter,
     ) -> None:
-        self._request, self._simulation, self._renderer = request, simulation, renderer
+        self._request, self._simulation, self.renderer = request, simulation, renderer
         self._cameras, self._reporter = tuple(cameras), reporter
         self.actions: list[Controls] = []
         self.ending: Ending = "interrupted"
@@ -235,9 +235,9 @@ class _Drive:
                 self.error, self.ending = self.error or error, "policy"
 
     def _render(self) -> Mapping[str, UInt8]:
-        if self._renderer is None:
+        if self.renderer is None:
             return {}
-        return self._renderer.render(self._simulation.now, self._cameras)
+        return self.renderer.render(self._simulation.now, self._cameras)
 
 
 def append_states(log: StateLogWriter, street: Street, snapshot: Snapshot) -> None:
@@ -278,7 +278,7 @@ def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, ou
     threads = None
     if request.video or request.policy.cameras:
         threads = 1
-        if request.factory.name == "reconstructed":
+        if request.factory.name in ("reconstructed", "generated"):
             import torch
 
             threads, versions["torch"] = torch.get_num_threads(), torch.__version__
@@ -296,6 +296,7 @@ def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, ou
         steps=simulation.now.step,
         ending=drive.ending,
         reason=None if drive.error is None else str(drive.error),
+        views=None if drive.renderer is None else drive.renderer.view_counts(),
         route_m=tuple((float(x), float(y)) for x, y in simulation.route.way.points),
         threads=threads,
         versions=versions,
@@ -313,6 +314,14 @@ def describe_map(source: MapSource | None) -> str:
         "fitted": "fitted to the driven lines: the drivable area is a lower bound",
     }
     return f"road map: {words[source]}"
+
+
+def describe_views(views: Mapping[str, int]) -> str:
+    """Describe what became of the views of a drive with generated road users."""
+    return (
+        f"{views['generated']} generated, {views['kept']} without a road user kept the street, {views['seeds']} seeded"
+        f" the drive, {views['fallback']} as reconstructed; {views['without_network']} frames ran no network"
+    )
 
 
 def describe_safety(safety: SafetyReport) -> list[str]:

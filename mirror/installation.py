@@ -44,7 +44,7 @@ def _command(words: str, extra: str) -> str:
 
 
 def checkout_folder() -> Path | None:
-    """Return the folder of the repository that this module is imported from; None: it was installed."""
+    """Return the folder of the repository that this module is imported from; None if the package is installed."""
     root = Path(__file__).resolve().parents[1]
     try:
         return root if f'name = "{NAME}"' in (root / "pyproject.toml").read_text() else None

@@ -16,7 +16,7 @@ BETWEEN_LINES_S: Final = 10.0
 
 
 class ProgressReporter(Protocol):
-    """Receives the progress of long work."""
+    """A receiver of the progress of long work."""
 
     def start(self, phase: str, total: int) -> None:
         """Begin a phase of ``total`` steps."""

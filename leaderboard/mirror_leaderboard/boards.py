@@ -83,7 +83,7 @@ class Board:
 
     @property
     def version(self) -> int | None:
-        """Version of the protocol that measured the entries; None: reported entries, or an unknown version."""
+        """Version of the protocol that measured the entries; None for reported entries and unknown versions."""
         if self.hashes is None:
             return None
         protocol = load_protocol(self.protocol)
@@ -99,7 +99,7 @@ class Board:
 
     @cached_property
     def ranks(self) -> BoardRanks | None:
-        """The ranks of the rows; None: the entries are reported, or the column that sorts them ranks nothing."""
+        """The ranks of the rows; None for reported entries, and if the sorting column does not rank."""
         ranking = _find_ranking(self.protocol, self.hashes)
         if self.hashes is None or ranking is None or self.ranked_by != ranking.column:
             return None

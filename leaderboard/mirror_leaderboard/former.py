@@ -27,7 +27,7 @@ class FormerVersion(Document):
 
 
 def find_former(protocol_hash: str) -> FormerVersion | None:
-    """Find the former version that has a hash; None: the board knows no such version."""
+    """Find the former version that has a hash; None if the board knows no such version."""
     return next((former for former in _read() if former.hash == protocol_hash), None)
 
 

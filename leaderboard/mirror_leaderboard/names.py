@@ -17,7 +17,7 @@ _LEFT_OUT: Final = ("M", "P", "Z", "C", "Sk", "Lm")
 
 
 def find_name_problem(name: str) -> str | None:
-    """Find the reason why a name cannot stand on the board; None: it can.
+    """Find the reason why a name may not appear on the board; None if it may.
 
     A name has the form NFKC, begins and ends with a visible character, has no two spaces in a row, printable ASCII and
     else only characters that Unicode Technical Standard 39 allows in identifiers, of one writing system (profile

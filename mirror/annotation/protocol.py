@@ -14,7 +14,7 @@ from mirror.progress import ProgressReporter
 
 
 class Annotator(Protocol):
-    """Finds the road users of a frame.
+    """A plug-in that finds the road users of a frame.
 
     Attributes:
         name: source of the layers that it makes, such as ``petr``.

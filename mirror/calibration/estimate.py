@@ -211,7 +211,7 @@ _SHORT_M: Final = 5.0
 
 
 def explain(estimate: CameraEstimate, conditions: ObservingConditions) -> str | None:
-    """Explain why an axis of a camera is unobservable; None: all axes are observable."""
+    """Explain why an axis of a camera is unobservable; None if all axes are observable."""
     if estimate.observable.all():
         return None
     if conditions.driven_m < _SHORT_M:

@@ -91,7 +91,7 @@ class ContentHashes:
             raise _unreadable_error(self._store, path, error) from error
 
     def rig(self, rig_id: str | None) -> str:
-        """Hash the document of a rig and its static masks; None: a drive without a rig.
+        """Hash the document of a rig and its static masks; None for a drive without a rig.
 
         Raises:
             DatasetError: a file cannot be read.

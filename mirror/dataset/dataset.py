@@ -327,7 +327,7 @@ class Dataset:
         return FrameSequence.from_view(self._catalog, self.filters, self.layers)
 
     def road_map(self, scene: str | None = None) -> RoadMap | None:
-        """Read the recorded road map of a scene, which `mirror ingest --map` added; None: the dataset has none.
+        """Read the recorded road map of a scene, which `mirror ingest --map` added; None without a recorded map.
 
         Args:
             scene: id of a scene in the view; None: the view has only one.

@@ -72,7 +72,7 @@ class Generation:
 
     @classmethod
     def find(cls, root: Path, sha256: str) -> Generation | None:
-        """Open a generation by its hash, the current or a superseded one; None: it no longer exists."""
+        """Open a generation by its hash, whether current or superseded; None if it no longer exists."""
         for path in (root / _INDEX, *(layer / _INDEX for layer in _layers(root)), root / _INDEX):
             generation = cls._open_locked(root, path)
             if generation is not None and generation.sha256 == sha256:
@@ -106,7 +106,7 @@ class Generation:
             return False
 
     def locate(self, path: str) -> Path | None:
-        """Return the place to which a file of this generation was moved; None: it was not moved.
+        """Return the place to which a file of this generation was moved; None if it was not moved.
 
         Args:
             path: relative to the dataset's root.

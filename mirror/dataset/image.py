@@ -187,7 +187,7 @@ class Image:
         return self._traversal.world_SE3_ego(self.timestamp_ns) @ self.calibration.ego_SE3_camera
 
     def depth(self) -> DepthImage | None:
-        """Return the depth map of this image in the chosen layer; None: the image has none.
+        """Return the depth map of this image in the chosen layer; None if there is no such map.
 
         Raises:
             UsageError: the traversal has several depth layers and none was chosen.
@@ -210,7 +210,7 @@ class Image:
         ]
 
     def static_mask(self) -> UInt8 | None:
-        """Return the pixels (H, W), non-zero where the recording vehicle is visible; None: the rig has no such mask.
+        """Return the pixels (H, W), not zero where the recording vehicle is visible; None if the rig has no such mask.
 
         Raises:
             DatasetError: the rig names a mask that is missing or broken.

@@ -39,7 +39,7 @@ def require_layer_name(source: str, version: str) -> None:
 
 @dataclass
 class LayerWriter:
-    """Writes one layer; the caller holds the dataset's writer lock.
+    """A writer of one layer; the caller holds the dataset's writer lock.
 
     It writes to a work folder, which is renamed to the layer when it is complete. The next writer of the same layer
     removes the work folder of an interrupted run (see `mirror.dataset.owned_folder`).

@@ -137,7 +137,7 @@ def seal(
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """Read the manifest of a folder; None: it has none, so the folder counts as missing.
+    """Read the manifest of a folder; None if there is none: the folder counts as missing.
 
     Raises:
         SchemaError: the manifest is broken.
@@ -147,7 +147,7 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def complete_manifest(folder: Path) -> Manifest | None:
-    """Read the manifest of a folder; None: missing or broken, so a writer has to write the folder again."""
+    """Read the manifest of a folder; None if missing or broken: a writer has to write the folder again."""
     try:
         return read_manifest(folder)
     except SchemaError:

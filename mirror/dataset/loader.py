@@ -27,7 +27,7 @@ _TRAVERSALS_HELD: Final = 64
 
 
 class Loader:
-    """Reads the files of all frames of one sequence.
+    """A reader of the files of all frames of one sequence.
 
     Args:
         catalog: the index.
@@ -68,7 +68,7 @@ class Loader:
             return self._keys.column("scene_id")[row].as_py(), self._traversals[row]
 
     def rig(self, row: int) -> Rig | None:
-        """Return the rig of a traversal; None: its drive has no cameras.
+        """Return the rig of a traversal; None if its drive has no cameras.
 
         Raises:
             DatasetError: the rig's file is missing.
@@ -88,7 +88,7 @@ class Loader:
         return [name for name in listed if self._cameras is None or name in self._cameras]
 
     def static_mask(self, row: int, camera: str) -> UInt8 | None:
-        """Return the rig's mask (H, W) of a camera; None: the rig has none.
+        """Return the rig's mask (H, W) of a camera; None if there is no such mask.
 
         Raises:
             DatasetError: the file is missing or broken.
@@ -154,7 +154,7 @@ class Loader:
         return True
 
     def video_frame(self, uri: str, pts: int, place: str) -> UInt8 | None:
-        """Decode a frame of a video to pixels (H, W, 3); None: the video has no such frame, or is broken.
+        """Decode a frame of a video to pixels (H, W, 3); None if the frame is missing or the video is broken.
 
         Raises:
             DatasetError: the video cannot be opened.

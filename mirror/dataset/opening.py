@@ -58,7 +58,7 @@ def hold_generation(store: Store) -> Store:
 
 
 def find_staleness(store: Store, manifest: Manifest) -> MirrorError | None:
-    """Return the reason why an index is stale; None: it is current."""
+    """Return the reason why an index is stale; None if it is current."""
     try:
         current = read_inputs(store).fingerprints
     except (DatasetError, SchemaError) as error:

@@ -22,7 +22,7 @@ _CACHED_RASTERS: Final = 32
 
 @dataclass(frozen=True)
 class ImageRaster:
-    """Resamples images and masks of one camera: they are first undistorted, then resized.
+    """A resampler of images and masks of one camera, which undistorts them first and then resizes them.
 
     Attributes:
         recorded: the calibrated camera.
@@ -36,7 +36,7 @@ class ImageRaster:
 
     @cached_property
     def maps(self) -> tuple[Float32, Float32] | None:
-        """Position of each pixel of ``full`` in the recorded image, for ``cv2.remap``; None: the same position."""
+        """Position of each pixel of ``full`` in the recorded image, for ``cv2.remap``; None if positions are equal."""
         return None if self.full == self.recorded else self.recorded.undistort_maps(self.full)
 
     @cached_property

@@ -16,7 +16,7 @@ REMEDY: Final = "restore the file, or add the map again: mirror ingest --map FIL
 
 
 def read_recorded_map(store: Store, roi: Roi) -> RoadMap | None:
-    """Read the recorded road map of a scene and compare it with its manifest; None: the dataset has none.
+    """Read the recorded road map of a scene, checked against its manifest; None without a recorded map.
 
     Args:
         store: the dataset's files.

@@ -28,7 +28,7 @@ def newest_redaction(layers: Iterable[tuple[str, str, str]]) -> tuple[str, str] 
 
 
 def current_redaction(layout: Layout, traversal_id: str) -> str | None:
-    """Return the hash of the contents of a traversal's newest redaction layer; None: it has none.
+    """Return the hash of the contents of a traversal's newest redaction layer; None without such a layer.
 
     Raises:
         SchemaError: the layer's manifest is broken.

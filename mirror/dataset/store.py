@@ -299,7 +299,7 @@ class Store:
 
 
 def store_at(root: str, sha256: str | None) -> Store:
-    """Make a store of a generation, which is given by its hash; None: a store without a generation.
+    """Make a store of the generation with a given hash; for None, a store without a generation.
 
     Raises:
         DatasetError: the generation no longer exists.

@@ -230,7 +230,7 @@ class Traversal:
         return RowIndex(to_numpy(stamps))
 
     def depth_row(self, camera: str, timestamp_ns: int) -> Mapping[str, Any] | None:
-        """Return the row of an image's depth map in the chosen layer; None: the image has none.
+        """Return the row of an image's depth map in the chosen layer; None if the image has none.
 
         Raises:
             UsageError: the traversal has several depth layers and none was chosen.

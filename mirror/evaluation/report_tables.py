@@ -22,7 +22,7 @@ LEVELS: Final[Mapping[Level, str]] = {
 
 @dataclass
 class Footnotes:
-    """Numbers of remarks: equal remarks share one."""
+    """Numbers of remarks, where equal remarks share one number."""
 
     numbers: dict[str, int] = field(default_factory=dict)
 

@@ -17,7 +17,7 @@ from mirror.progress import ProgressReporter
 
 
 class ExportDoor:
-    """Checks the images of an export against the dataset that it was made from.
+    """The check of an export's images against the dataset that the export was made from.
 
     A remote dataset is not walked: its images are those of its index, and no recorded image of a traversal with a
     redaction layer is among them.

@@ -47,7 +47,7 @@ class MirrorDataParserConfig(_base.DataParserConfig):
 
 @dataclass
 class MirrorDataParser(_base.DataParser):
-    """Opens a scene of a dataset for nerfstudio."""
+    """A dataparser that opens a scene of a dataset for nerfstudio."""
 
     config: MirrorDataParserConfig
 

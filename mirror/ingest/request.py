@@ -122,7 +122,7 @@ class IngestReport:
 
     @property
     def common_licence(self) -> str | None:
-        """The licence that all judged recordings state; None: they state several, or some state none."""
+        """The licence that all judged recordings state; None if they state several, or some state none."""
         licences = {drive.info.licence for drive in self.drives.values()}
         return licences.pop() if len(licences) == 1 else None
 

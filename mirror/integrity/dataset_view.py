@@ -161,7 +161,7 @@ class DatasetView:
 
     @cached_property
     def index_inputs(self) -> IndexInputs | None:
-        """The inputs of an index; None: a file is missing or broken, which other rules report."""
+        """The inputs of an index; None if a file is missing or broken, which other rules report."""
         try:
             return read_inputs(self.store)
         except MirrorError:
@@ -280,7 +280,7 @@ class DatasetView:
         return [(self.name(path), number, data) for path, (number, _), data in read if data is not None]
 
     def table(self, path: Path, table: Table, columns: Sequence[str] | None = None) -> pa.Table | None:
-        """Return a table, or columns of it; None: the file is missing, or it is broken, which is kept as a problem."""
+        """Return a table, or columns of it; None if its file is missing, or broken, which is kept as a problem."""
         try:
             return read_table(path, table, columns)
         except SchemaError as error:

@@ -61,7 +61,7 @@ class ImageContents:
 
 
 class ImageFileReader:
-    """Reads the files of images with several threads.
+    """A reader of the files of images, with several threads.
 
     Args:
         images: the images.

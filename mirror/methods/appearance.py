@@ -17,7 +17,7 @@ _SWEEP: Final = "sweep:"
 
 @dataclass(frozen=True)
 class AppearancePolicy:
-    """Chooses the appearance of renders of traversals and cameras that a method was not trained on.
+    """The policy that chooses an appearance for renders of traversals and cameras that a method was not trained on.
 
     Attributes:
         policy: ``nearest``, ``mean``, ``fit``, a traversal, a word of light or weather, or ``sweep:A:B``.

@@ -27,7 +27,7 @@ class TrainedAppearance:
 
 
 class InteractiveRenderer(Protocol):
-    """Renders views from any place, in mixtures of the trained appearances."""
+    """A renderer of views from any place, in mixtures of the trained appearances."""
 
     @property
     def appearances(self) -> tuple[TrainedAppearance, ...]:

@@ -110,7 +110,7 @@ def read_log(path: Path) -> list[ImageRecord]:
 
 
 def read_plate_region(path: Path) -> str | None:
-    """Read from a log's first line the region of number plates that its run was given; None: it is not recorded.
+    """Read, from a log's first line, the region of number plates given to its run; None if it is not recorded.
 
     Raises:
         SchemaError: the line is broken.

@@ -31,7 +31,7 @@ def max_png_bytes(width_px: int, height_px: int) -> int:
 
 
 def png_size(data: bytes) -> tuple[int, int] | None:
-    """Read width and height from a PNG's header; None: the data is not a PNG."""
+    """Read width and height from a PNG's header; None if the data is not a PNG."""
     if len(data) < HEADER_BYTES or not data.startswith(_SIGNATURE) or data[12:16] != b"IHDR":
         return None
     width, height = struct.unpack(">II", data[16:24])
@@ -39,7 +39,7 @@ def png_size(data: bytes) -> tuple[int, int] | None:
 
 
 def find_png_problem(data: bytes) -> str | None:
-    """Find the first problem of a PNG other than its size; None: the PNG is valid.
+    """Find the first problem of a PNG other than its size; None if the PNG is valid.
 
     The checksum of every chunk is verified; nothing is decompressed. Only 8-bit RGB in sRGB is accepted: no alpha,
     palette, interlacing, animation, colour profile or compressed text.

@@ -34,7 +34,7 @@ _BROKEN_ARRAY = (
 
 
 def find_file(root: Path, name: str) -> Path | None:
-    """Find a regular file of a recording by its name; None: it does not exist.
+    """Find a regular file of a recording by its name; None if it does not exist.
 
     Args:
         root: the recording's folder.

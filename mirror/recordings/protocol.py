@@ -176,7 +176,7 @@ class ImageStream(Protocol):
         ...
 
     def path(self, index: int) -> str | Path | None:
-        """Return the file with exactly the encoded bytes of this image, for links and copies; None: use `read`."""
+        """Return the file with exactly the encoded bytes of this image, to link or copy; if None, use `read`."""
         ...
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:

@@ -129,7 +129,7 @@ def is_drive_of_folder(path: Path, reader: str | None = None) -> bool:
 
 
 def list_drives(path: Path, reader: str | None = None) -> list[Path] | None:
-    """Return the paths of the drives of a folder that may hold several; None: no reader recognises it as such a folder.
+    """Return the paths of the drives of a folder that may hold several; None if no reader recognises such a folder.
 
     A folder with one drive is its path.
 

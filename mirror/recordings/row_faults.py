@@ -19,7 +19,7 @@ from mirror.recordings.protocol import Track
 
 
 class RowFaults:
-    """Marks the rows of a table that make no pose; the first reason found for a row is kept.
+    """Marks of the rows of a table that give no pose; the first reason found for a row is kept.
 
     Args:
         count: number of rows of the table.

@@ -14,7 +14,7 @@ from mirror.recordings.raster import MAX_PIXELS, is_decodable
 
 
 def read_static_mask(folder: Path, name: str | None, camera: str, document: Path) -> UInt8 | None:
-    """Read the mask (H, W) of a camera, which a document names; None: it names none.
+    """Read the mask (H, W) of a camera that a document names; None if it names no mask.
 
     Args:
         folder: the folder that the name is relative to, and that it must not lead out of.

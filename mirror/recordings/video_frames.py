@@ -19,7 +19,7 @@ JPEG_QUALITY: Final = 95
 
 
 class FrameConverter:
-    """Converts the frames of one video, one after the other; PyAV must be installed."""
+    """A converter of the frames of one video, one after the other; PyAV must be installed."""
 
     def __init__(self) -> None:
         from av.video.reformatter import VideoReformatter
@@ -31,7 +31,7 @@ class FrameConverter:
         return self._convert(frame, "rgb24")
 
     def to_jpeg(self, frame: av.VideoFrame) -> bytes | None:
-        """Return a frame as JPEG (quality 95, 4:2:0); None: it cannot be encoded."""
+        """Encode a frame as JPEG (quality 95, 4:2:0); None if it cannot be encoded."""
         import cv2
 
         done, data = cv2.imencode(".jpg", self._convert(frame, "bgr24"), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))

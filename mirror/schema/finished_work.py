@@ -47,7 +47,7 @@ class FinishedWork(Generic[Result]):
         read_lines(path, decode_line)
 
     def find(self, item: str, hash_inputs: Callable[[], str]) -> Result | None:
-        """Return the result of an item that was made from the present inputs; None: there is none.
+        """Return the result of an item that was made from the present inputs; None if there is no such result.
 
         Args:
             item: name of the item.

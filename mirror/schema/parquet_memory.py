@@ -166,7 +166,7 @@ def decoded_bytes(file: pq.ParquetFile, columns: Collection[str] | None = None, 
 
 
 def free_bytes() -> int | None:
-    """Return the memory that is free, or that the system can free, in bytes; None: unknown."""
+    """Return the memory, in bytes, that is free or that the system can free; None if unknown."""
     try:
         lines = _MEMORY.read_text().splitlines()
     except OSError:

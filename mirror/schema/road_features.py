@@ -163,7 +163,7 @@ class MapSignal:
         return sum(duration_s for _, duration_s in self.phases)
 
     def state_at(self, clock_s: float) -> SignalState | None:
-        """Return the state at a time of the signals' clock; None: the phases are not known."""
+        """Return the state at a time of the signals' clock; None if the phases are not known."""
         if not self.phases:
             return None
         since = (clock_s - self.offset_s) % self.cycle_s

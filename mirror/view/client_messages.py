@@ -33,7 +33,7 @@ class MessageProblem:
 
 
 def find_problem(data: object) -> MessageProblem | None:
-    """Find why a message of a page is not read; None: it is valid.
+    """Find the reason why a message of a page is not read; None if it is valid.
 
     Messages of kinds that the page of the viewer does not need are not read either, such as the one with which viser
     opens a public tunnel.

@@ -57,7 +57,7 @@ class ViewerOptions:
 
 
 class StreetViewer:
-    """Serves a street until it is closed.
+    """A server of a street, until it is closed.
 
     Args:
         renderer: renders the street.

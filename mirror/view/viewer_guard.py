@@ -33,7 +33,7 @@ _PATCHING: Final = threading.Lock()
 
 
 class ViewerGuard:
-    """Decides which requests reach the viewer.
+    """A guard that decides which requests reach the viewer.
 
     Args:
         host: address that the server listens on.
@@ -51,7 +51,7 @@ class ViewerGuard:
         return f"http://{f'[{host}]' if ':' in host else host}:{port}/?token={self.token}"
 
     def find_fault(self, path: str, headers: Headers, port: int) -> str | None:
-        """Find why a request is refused; None: it may pass.
+        """Find the reason why a request is refused; None if it may pass.
 
         Args:
             path: path and query of the request.
@@ -70,7 +70,7 @@ class ViewerGuard:
         return None
 
     def answer(self, path: str, headers: Headers, port: int) -> Response | None:
-        """Answer a request that viser may not see; None: viser answers it.
+        """Answer a request that viser may not see; None for a request that viser answers.
 
         The address with the token is answered by a cookie and the address without it, so that the token stands in no
         history and in no link.

@@ -40,7 +40,7 @@ class ResolvedWeights:
 
 @dataclass(frozen=True)
 class WeightResolver:
-    """Finds files of weights.
+    """A finder of files of weights.
 
     Attributes:
         paths: explicit files by name, e.g. from ``--weights inception-fid=FILE``.

@@ -28,7 +28,7 @@ from mirror.protocols.views.view import RenderView
 
 
 class BlockRenderer(Protocol):
-    """Renders views of a trained model."""
+    """A renderer of the views of a trained model."""
 
     def __call__(self, view: RenderView) -> UInt8:
         """Render the pixels (H, W, 3) of a view."""
@@ -81,7 +81,7 @@ def one_point(run: Run) -> InitialGeometry:
 
 
 class NearestBlockRenderer:
-    """Renders a view by the block that is nearest to its camera.
+    """A renderer of each view by the block that is nearest to its camera.
 
     Args:
         blocks: at least one block.

@@ -89,7 +89,7 @@ class Composition:
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """Gaussians of all blocks that a view may see.
+    """Gaussians, of all blocks, that a view may see.
 
     Attributes:
         origin_m: (3,) origin of their frame in the world.

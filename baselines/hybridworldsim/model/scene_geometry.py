@@ -46,7 +46,7 @@ class SceneGeometry:
 
     @property
     def few_points(self) -> str | None:
-        """A warning, if there are too few points to tell where the scene is; None: there are enough."""
+        """A warning if there are too few points to tell where the scene is; else None."""
         count = len(self.points_m) + self.ground_count
         if count >= FEW_POINTS:
             return None

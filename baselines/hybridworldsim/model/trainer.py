@@ -30,7 +30,7 @@ _SENSOR_RATE_SHARE = 0.1
 
 
 class StreetTrainer:
-    """Trains a street; a `hybridworldsim.trainable.method.TrainableMethod`.
+    """A trainer of a street; a `hybridworldsim.trainable.method.TrainableMethod`.
 
     Args:
         street: the model, changed in place.

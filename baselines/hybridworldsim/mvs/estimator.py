@@ -59,7 +59,7 @@ class DepthMap:
 
 
 class DepthEstimator(Protocol):
-    """Estimates the depth of an image from other images of the same scene."""
+    """An estimator of the depth of an image from other images of the same scene."""
 
     def __call__(self, reference: StereoImage, sources: Sequence[StereoImage], near_m: float, far_m: float) -> DepthMap:
         """Estimate the depth of ``reference``.

@@ -185,7 +185,7 @@ def make_point_cloud(
 
 
 class VoxelThinner:
-    """Thins points to one per cell of a grid: the best point of the first cloud that has a point in the cell.
+    """A thinner of points to one per cell of a grid: the best point of the first cloud that has points in the cell.
 
     Cells are found by their sorted hashes. Memory: 8 bytes per occupied cell.
 

@@ -36,7 +36,7 @@ _SETTINGS: Final = {
 
 
 class PetrAnnotator:
-    """Runs a network on one frame after the other.
+    """An annotator that runs a network on one frame after the other.
 
     Args:
         checkpoint: the weights.

@@ -66,7 +66,7 @@ class Decoder(nn.Module):
 
 
 class PetrTransformer(nn.Module):
-    """Holds the decoder under the published name."""
+    """A holder of the decoder under the published name, as the checkpoint's keys need it."""
 
     def __init__(self, layers: int, dim: int, heads: int, hidden: int, dropout: float) -> None:
         super().__init__()

@@ -22,7 +22,7 @@ class Convolution(nn.Module):
 
 
 class Neck(nn.Module):
-    """Adds coarse features to the finest ones.
+    """A neck that adds coarse features to the finest ones.
 
     Args:
         channels: channels of the backbone's outputs, finest first.

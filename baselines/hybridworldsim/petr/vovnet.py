@@ -27,7 +27,7 @@ def _convolution(inputs: int, outputs: int, name: str, kernel: int, stride: int 
 
 
 class ChannelGate(nn.Module):
-    """Scales channels by a gate from their means."""
+    """A gate that scales each channel by a factor computed from the means of all channels."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()

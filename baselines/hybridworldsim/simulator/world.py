@@ -107,7 +107,7 @@ class SimulatedWorld:
 
 
 class StateRecorder:
-    """Collects the states of a rollout."""
+    """A recorder of the states of a rollout."""
 
     def __init__(self) -> None:
         self.snapshots: list[Snapshot] = []

@@ -68,7 +68,7 @@ def trained_cameras(views: Sequence[RenderView]) -> tuple[TrainedCamera, ...]:
 
 @dataclass(frozen=True)
 class AppearanceSelector:
-    """Selects the appearances of the images to render.
+    """A selector of the appearances of the images to render.
 
     Attributes:
         trained: trained traversals and cameras, at least one.

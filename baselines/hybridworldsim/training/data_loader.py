@@ -28,7 +28,7 @@ _PREFETCHED: Final = 3
 
 
 class TrainingImageCache:
-    """Opens the training images of views, and caches the latest up to a number of bytes.
+    """A cache that opens the training images of views, and keeps the latest up to a number of bytes.
 
     Args:
         dataset: the dataset.

@@ -30,7 +30,7 @@ class _Point:
 
 
 def time_quality_plot(board: Board, entries: Sequence[Entry]) -> dict[str, object] | None:
-    """Place the methods of a board on a plot; None: none has both a render time and a value.
+    """Place the methods of a board on a plot; None if no method has both a render time and a value.
 
     Values of different data are not comparable: each board has a plot of its own.
 

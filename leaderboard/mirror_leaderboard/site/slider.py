@@ -14,7 +14,7 @@ _TRUTH: Final = "recorded"
 
 
 def board_slider(board: Board) -> dict[str, object] | None:
-    """Return what the slider of a board shows; None: none of its entries has images."""
+    """Return the content of a board's slider; None if no entry has images."""
     titles: dict[str, str] = {}
     images: dict[str, dict[str, str]] = {}
     for method, pair in _list_pairs(board):

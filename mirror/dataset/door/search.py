@@ -27,7 +27,7 @@ class _Anchor(NamedTuple):
 
 
 class ByteSearch:
-    """Finds byte strings of which only the SHA-256 and one window of eight bytes are kept in memory.
+    """A search for byte strings that keeps only the SHA-256 and one window of eight bytes of each in memory.
 
     A table of one bit for each hash of a window decides for almost every place of the searched bytes; where it does
     not, a check sum of 64 bytes and then the SHA-256 of the whole string decide.

@@ -37,7 +37,7 @@ def decode_rgb(data: bytes, codec: str) -> UInt8 | None:
 
 
 def decode_grey(data: bytes) -> UInt8 | None:
-    """Decode a one-channel PNG to pixels (H, W); None: broken, or larger than any camera's raster."""
+    """Decode a one-channel PNG to pixels (H, W); None if it is broken or larger than any camera's raster."""
     import cv2
 
     if not is_decodable(data):

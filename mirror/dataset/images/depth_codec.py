@@ -43,7 +43,7 @@ def encode_depth(depth_m: AnyArray) -> bytes:
 
 
 def decode_depth(data: bytes) -> Float32 | None:
-    """Decode depths (H, W) along the camera's z axis in metres, NaN where unknown; None: no 16-bit PNG, or broken."""
+    """Decode depths (H, W) along the camera's z axis in metres, NaN where unknown; None unless a valid 16-bit PNG."""
     import cv2
 
     steps = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_decodable(data) else None

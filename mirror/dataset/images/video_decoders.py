@@ -43,7 +43,7 @@ class VideoDecoders:
         self._lock = threading.Lock()
 
     def decode(self, uri: str, pts: int) -> UInt8 | None:
-        """Decode the frame with a time stamp to pixels (H, W, 3), RGB; None: the video has no such frame, or is broken.
+        """Decode the frame with a time stamp to pixels (H, W, 3), RGB; None if it is missing or the video is broken.
 
         Raises:
             DatasetError: PyAV is not installed or has no decoder for the video, or the uri leads out of the dataset.

@@ -22,7 +22,7 @@ _PLAIN_SCHEMA: Final = plain_schema(TRAVERSALS)
 
 
 class TraversalTable:
-    """Writes the table of traversals row by row; the bounds of row groups depend only on the rows.
+    """A writer of the table of traversals, row by row; the bounds of row groups depend only on the rows.
 
     The GeoParquet metadata holds the bounding box of all rows and comes before the rows, so the rows
     are first written to a temporary file.
@@ -85,7 +85,7 @@ class TraversalTable:
 
 
 class PreviousTraversals:
-    """Reads the table of traversals of the existing index, for the rows of unchanged scenes.
+    """A reader of the table of traversals of the existing index, for the rows of unchanged scenes.
 
     Args:
         layout: the dataset.

@@ -92,7 +92,7 @@ class Catalog:
         return self._groups[name]
 
     def group_of(self, name: str, traversal: int) -> tuple[str, int] | None:
-        """Return the file and position of the row group with a traversal's rows in a table; None: it has no rows.
+        """Return the file and position of the row group with a traversal's rows in a table; None without rows.
 
         Args:
             name: name of the table.

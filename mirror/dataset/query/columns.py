@@ -18,7 +18,7 @@ CACHE_BYTES: Final = 48 * 1024 * 1024
 
 
 class ColumnCache:
-    """Reads columns of Parquet files by row group, and caches them.
+    """A cache of columns of Parquet files, which it reads by row group.
 
     Args:
         files: the files.

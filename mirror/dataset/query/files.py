@@ -26,7 +26,7 @@ _Identity: TypeAlias = tuple[int, int, int, int]
 
 
 class TableFiles:
-    """Opens Parquet files and keeps them open. Beyond a limit, the least recently used file is closed.
+    """A pool of open Parquet files; beyond a limit, the least recently used file is closed.
 
     A local file of the index is compared with the hash in the manifest. Of a remote file only some ranges are fetched,
     so only its size is compared.

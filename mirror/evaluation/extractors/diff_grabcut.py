@@ -20,7 +20,7 @@ _NO_RECTANGLE: Final = (0, 0, 0, 0)
 
 
 class DiffGrabCut:
-    """Finds seeds, pixels with a large difference between the two renders; GrabCut then finds the outline.
+    """An extractor whose seeds are pixels with a large difference between the renders; GrabCut finds the outline.
 
     The threshold is six times the 25 % quantile of the difference over the counted pixels, and at least 12 levels.
     Therefore a generator that changes the whole image a little does not count as one edit, and an edit may fill most of

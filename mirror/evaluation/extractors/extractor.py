@@ -8,7 +8,7 @@ from mirror.arrays import Bool, UInt8
 
 
 class ObjectExtractor(Protocol):
-    """Finds the region of an edited object in a render, without knowing the requested position of the object.
+    """An extractor of the region of an edited object in a render, without knowing the object's requested position.
 
     Attributes:
         identity: name of the extractor, with a hash of its networks if it has any; results state it.

@@ -15,7 +15,7 @@ from mirror.weights.resolve import file_sha256
 
 
 class MaskFiles:
-    """Reads masks: grey PNGs in which values of 128 or more mark the object.
+    """An extractor that reads masks: grey PNGs in which values of 128 or more mark the object.
 
     Args:
         folder: folder of the masks; a mask has the same path in it as its render has below ``renders/``.

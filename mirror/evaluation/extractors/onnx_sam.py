@@ -22,7 +22,7 @@ _BOX_LABELS: Final = (2.0, 3.0)
 
 
 class OnnxSam:
-    """Runs two networks: an encoder of the image, and a decoder of a prompt.
+    """An extractor that runs two networks: an encoder of the image, and a decoder of a prompt.
 
     ``encoder.onnx`` maps normalised pixels (1, 3, 1024, 1024) to image embeddings; ``decoder.onnx`` is the file that
     the model's own export script writes. The prompt is the bounding rectangle of the region in which the renders differ

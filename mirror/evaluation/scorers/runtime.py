@@ -22,7 +22,7 @@ _REMEDY: Final = "state it in the manifest under runtime"
 
 
 class RuntimeScorer:
-    """Scores the task ``runtime``."""
+    """The scorer of the task ``runtime``."""
 
     version = 1
 

@@ -53,7 +53,7 @@ class ScoredJob:
 
 
 class Scorer(Protocol):
-    """Scores the submissions of one task."""
+    """A scorer of the submissions of one task."""
 
     version: int
     """Version of the scorer's values: increased when they change, so that stored values are not reused."""

@@ -13,7 +13,7 @@ TOLERANCE: Final = 1e-6
 
 
 def find_difference(log: StateLog, other: StateLog) -> str | None:
-    """Find the first difference of two logs in words; None: they state the same drive to 1e-6.
+    """Find the first difference of two logs, in words; None if they state the same drive to 1e-6.
 
     Actors may be in another order, but for the ego.
 

@@ -45,7 +45,7 @@ class StateLogHeader(Document):
 
 
 class StateLogWriter:
-    """Writes a state log instant by instant, in row groups.
+    """A writer of a state log, instant by instant, in row groups.
 
     The file has a temporary name until the writer is closed. As a context manager it is closed whatever happens, so
     that the log of an interrupted rollout is complete up to there. Only a process that is killed leaves no log.

@@ -13,7 +13,7 @@ from mirror.privacy.regions import Kind, Region
 
 @runtime_checkable
 class Detector(Protocol):
-    """Finds the faces or the number plates of an image.
+    """A detector of the faces or the number plates of an image.
 
     Attributes:
         kind: what it finds.

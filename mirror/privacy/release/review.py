@@ -90,7 +90,7 @@ class ReviewSession:
         self.reviews[out_sha256] = reviewed.review
 
     def image(self, out_sha256: str) -> bytes | None:
-        """Return the bytes of an image of the sample; None: there is no such image."""
+        """Return the bytes of an image of the sample; None if there is no such image."""
         known = {record.out_sha256 for record in self.sample}
         return self._uris[out_sha256].read_bytes() if out_sha256 in known else None
 

@@ -308,7 +308,7 @@ def renumber_frames(images: pa.Table, rig: Rig | None) -> pa.Table:
 
 
 def read_rig(layout: Layout, drive: DriveDocument) -> Rig | None:
-    """Return the rig of a drive; None: it has no cameras."""
+    """Return the rig of a drive; None if it has no cameras."""
     return None if drive.rig_id is None else read_json(layout.rig(drive.rig_id), Rig)
 
 

@@ -17,7 +17,7 @@ _CACHED_RASTERS = 64
 
 
 class Raster:
-    """Resamples the images of one camera model to the final raster: undistorts them, then scales them down.
+    """A resampler of one camera model's images to the final raster: undistorts them, then scales them down.
 
     Args:
         camera: recorded camera model.

@@ -57,7 +57,7 @@ def compute_scored_mask(
 
 
 def choose_dynamic_source(masks: Masks, layers: tuple[str, ...], *, moved: bool, traversal_id: str) -> str | None:
-    """Choose the source of road users' pixels: ``masks`` or ``boxes``; None: road users are scored.
+    """Choose the source of road users' pixels, ``masks`` or ``boxes``; None if road users are scored.
 
     Recorded masks do not fit moved cameras, so that moved views need boxes.
 

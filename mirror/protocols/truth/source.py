@@ -23,7 +23,7 @@ _OPEN_TRAVERSALS: Final = 16
 
 
 class GroundTruth:
-    """Reads the true image and the scored mask of one view at a time.
+    """A reader of the true image and the scored mask of one view at a time.
 
     Args:
         dataset: dataset with the recorded images.

@@ -15,7 +15,7 @@ from mirror.protocols.views.view import Edit
 
 
 class EditPlanner:
-    """Plans the edits of views.
+    """A planner of the edits of views.
 
     A view is requested if it shows enough of a selected vehicle after any of the protocol's shifts. Therefore all
     groups request the same views, and the decision is computed once for all groups.
@@ -33,7 +33,7 @@ class EditPlanner:
     def plan_edits(
         self, group: Group, frame: Frame, name: str, camera: Camera, world_SE3_camera: Poses
     ) -> tuple[Edit, ...] | None:
-        """Plan the edits of one view; None: the view is not requested because it shows too little of every vehicle.
+        """Plan the edits of one view; None if the view is not requested, as it shows too little of every vehicle.
 
         Args:
             group: group that moves or removes the vehicles.

@@ -35,7 +35,7 @@ _EXPOSURES: Final = ("exposure_start_ns", "exposure_end_ns")
 
 @dataclass(frozen=True)
 class DriveNames:
-    """Ids of the new recording; None: those of the track, and ``rig_<vehicle>``.
+    """Ids of the new recording; by default the ids of the track, and ``rig_<vehicle>``.
 
     Attributes:
         drive_id: the drive.

@@ -12,7 +12,7 @@ _MOST_ENTRIES: Final = 512
 
 
 def read_exif_time(data: bytes) -> str | None:
-    """Return ``2026-03-01 10:00:00.123 +01:00`` of a JPEG, as far as its EXIF data states it; None: it states no time.
+    """Return ``2026-03-01 10:00:00.123 +01:00`` of a JPEG, as far as its EXIF data states it; else None.
 
     Args:
         data: the first 64 KiB of the file or more: the EXIF data is in a segment before the image.

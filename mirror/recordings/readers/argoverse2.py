@@ -85,7 +85,7 @@ _BOX_SCHEMA: Final = _schema(("track_uuid", "category"), ("timestamp_ns",), (*_S
 
 
 class Argoverse2Reader:
-    """Reads one log of the sensor dataset."""
+    """A reader of one log of the Argoverse 2 sensor dataset."""
 
     name = "argoverse2"
     expects = f"a log folder of Argoverse 2 with {_POSES}"

@@ -47,7 +47,7 @@ _COLUMNS: Final = ("GPSTime", "easting", "northing", "altitude", "roll", "pitch"
 
 
 class BoreasReader:
-    """Reads one sequence of Boreas."""
+    """A reader of one sequence of Boreas."""
 
     name = "boreas"
     expects = "a folder boreas-YYYY-MM-DD-HH-MM with camera_poses.csv or applanix/camera_poses.csv"

@@ -52,7 +52,7 @@ _SINGLE: Final = "drive"
 
 
 class ColmapReader:
-    """Reads the drives of a folder with a COLMAP model and its images."""
+    """A reader of the drives of a folder with a COLMAP model and its images."""
 
     name = "colmap"
     expects = "a folder with images/ and a model of COLMAP in sparse/NUMBER, sparse, colmap or itself, or FOLDER/DRIVE"

@@ -50,7 +50,7 @@ _POSITIONS: Final = "global_pose/frame_positions"
 
 
 class Comma2k19Reader:
-    """Reads a route of comma2k19, or one of its segments."""
+    """A reader of a route of comma2k19, or of one of its segments."""
 
     name = "comma2k19"
     expects = "a route folder of numbered segments with global_pose/frame_positions, or one such segment"

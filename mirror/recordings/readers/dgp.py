@@ -47,7 +47,7 @@ _PLAIN: Final = {*_FOCAL, "fov", "fisheye"}
 
 
 class DgpReader:
-    """Reads one DGP scene."""
+    """A reader of one DGP scene."""
 
     name = "dgp"
     expects = "a folder with one scene_*.json"

@@ -45,7 +45,7 @@ _NUMBERS: Final = {name for names in (*_POSITIONS.values(), QUATERNION, ANGLES, 
 
 
 class FolderReader:
-    """Reads one recording in the `folder` layout."""
+    """A reader of one recording in the `folder` layout."""
 
     name = "folder"
     expects = "a folder with recording.json"

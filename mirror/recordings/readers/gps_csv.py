@@ -70,7 +70,7 @@ _UNIT_BY_MAGNITUDE: Final = ((1e11, "unix_s"), (1e14, "unix_ms"), (1e17, "unix_u
 
 
 class CsvReader:
-    """Reads a GPS table, or a folder of them."""
+    """A reader of a GPS table, or of a folder of GPS tables."""
 
     name = "csv"
     expects = "a .csv or .tsv file with time and position, or a folder that holds only such files"

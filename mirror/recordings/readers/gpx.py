@@ -24,7 +24,7 @@ _NO_GEOID: Final = (
 
 
 class GpxReader:
-    """Reads a GPX file as one drive."""
+    """A reader of a GPX file as one drive."""
 
     name = "gpx"
     expects = "a file *.gpx with track points that have times"

@@ -57,7 +57,7 @@ _ROTATION_TOLERANCE: Final = 1e-2
 
 
 class Kitti360Reader:
-    """Reads the drives of a KITTI-360 folder; each has the path ``FOLDER/2013_05_28_drive_NNNN_sync``."""
+    """A reader of the drives of a KITTI-360 folder; paths are ``FOLDER/2013_05_28_drive_NNNN_sync``."""
 
     name = "kitti360"
     expects = f"a KITTI-360 folder with {_POSES}/<drive>/poses.txt and calibration/, or FOLDER/<drive>"

@@ -63,7 +63,7 @@ _NO_POSES: Final = "name a sequence with poses (00 to 10), or put its poses ther
 
 
 class KittiOdometryReader:
-    """Reads the sequences of a KITTI odometry folder; each has the path ``FOLDER/NN`` or ``FOLDER/sequences/NN``."""
+    """A reader of the sequences of a KITTI odometry folder; paths are ``FOLDER/NN`` or ``FOLDER/sequences/NN``."""
 
     name = "kitti_odometry"
     expects = f"a KITTI odometry folder with {_SEQUENCES}/NN/times.txt and {_POSES}/NN.txt, or FOLDER/NN"

@@ -67,7 +67,7 @@ _HEIGHTS: Final = (
 
 
 class KittiRawReader:
-    """Reads the drives of a day, or a single drive."""
+    """A reader of the drives of a day, or of a single drive."""
 
     name = "kitti_raw"
     expects = "a folder YYYY_MM_DD with calib_cam_to_cam.txt and drives YYYY_MM_DD_drive_NNNN_sync, or such a drive"

@@ -60,7 +60,7 @@ _LONGEST_US: Final = 9_000_000_000_000_000
 
 
 class NcoreReader:
-    """Reads the sequences of a folder of NCore stores; each is a drive with the path ``FOLDER/NAME``."""
+    """A reader of the sequences of a folder of NCore stores; each is a drive with the path ``FOLDER/NAME``."""
 
     name = "ncore"
     expects = "a folder with NAME.ncore4*.zarr.itar or NAME.ncore4*.zarr, or FOLDER/NAME"
@@ -264,7 +264,7 @@ class NcoreRecording:
         return streams
 
     def boxes(self) -> pa.Table | None:
-        """Return the cuboids in the vehicle's frame at their own stamps; None: the sequence has none."""
+        """Return the cuboids in the vehicle's frame at their own stamps; None if the sequence has none."""
         seen = self._stores.observations()
         if not seen:
             return None

@@ -36,7 +36,7 @@ class ImageReader(CameraSensorComponent.Reader):
 
 
 class MaskReader(MasksComponent.Reader):
-    """Reads the masks of cameras, and the mask ``ego`` of the vehicle itself."""
+    """A reader of the masks of cameras, and of the mask ``ego`` of the vehicle itself."""
 
     def ego_mask(self, camera: str, store: Path) -> UInt8 | None:
         """Return the mask ``ego`` (H, W) of a camera, or None.

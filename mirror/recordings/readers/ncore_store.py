@@ -277,7 +277,7 @@ class NcoreStores:
             return reader.ego_mask(camera, path)
 
     def observations(self) -> Sequence[CuboidObservation] | None:
-        """Return all boxes; None: the sequence has none."""
+        """Return all boxes; None if the sequence has none."""
         from ncore.data.v4 import CuboidsComponent
 
         found = self._choose("cuboids", CuboidsComponent.Reader)

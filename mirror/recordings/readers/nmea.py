@@ -23,7 +23,7 @@ _FIRST_YEAR: Final = 80
 
 
 class NmeaReader:
-    """Reads a log of NMEA sentences as one drive."""
+    """A reader of a log of NMEA sentences as one drive."""
 
     name = "nmea"
     expects = "a file *.nmea with sentences RMC, and GGA for heights"

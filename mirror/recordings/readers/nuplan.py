@@ -62,7 +62,7 @@ _POSE_COLUMNS: Final = ("timestamp", "x", "y", "z", "qw", "qx", "qy", "qz", "eps
 
 
 class NuplanReader:
-    """Reads one log database with the camera blobs that were downloaded for it."""
+    """A reader of one log database, with the camera blobs that were downloaded for it."""
 
     name = "nuplan"
     expects = "a log database of nuPlan, *.db"
@@ -281,7 +281,7 @@ class NuplanRecording:
         }
 
     def boxes(self) -> pa.Table | None:
-        """Return the boxes of the offline detector, with velocity and confidence; None: the log has none."""
+        """Return the boxes of the offline detector, with velocity and confidence; None if the log has none."""
         numbers = ("x", "y", "z", "yaw", "length", "width", "height", "vx", "vy", "vz", "confidence")
         pose = _POSE_COLUMNS[1:8]
         with open_database(self.path) as database:

@@ -67,7 +67,7 @@ _OPTIONS: Final = ("sweeps",)
 
 
 class NuscenesReader:
-    """Reads the scenes of a nuScenes folder; each scene is a drive with the path ``FOLDER/SCENE``."""
+    """A reader of the scenes of a nuScenes folder; each scene is a drive with the path ``FOLDER/SCENE``."""
 
     name = "nuscenes"
     expects = "a nuScenes folder with v1.0-mini, v1.0-trainval or v1.0-test, or FOLDER/SCENE"
@@ -353,7 +353,7 @@ class NuscenesRecording:
         return streams
 
     def boxes(self) -> pa.Table | None:
-        """Return the boxes of the annotated frames, with velocities; None: the scene has none, as in the test split."""
+        """Return the boxes of the annotated frames, with velocities; None without boxes, as in the test split."""
         annotations = self.tables.annotations_of(self.scene)
         if not len(annotations.timestamp_us):
             return None

@@ -103,7 +103,7 @@ _STAT_SCHEMA: Final = pa.schema([(f"{_STAT}{name}", pa.string()) for name in ("t
 
 
 class WaymoReader:
-    """Reads the segments of a folder of components; each segment is a drive with the path ``FOLDER/SEGMENT``."""
+    """A reader of the segments of a folder of components; each segment is a drive with the path ``FOLDER/SEGMENT``."""
 
     name = "waymo"
     expects = f"a folder with {_POSES}/*.parquet and any other components of Waymo v2, or FOLDER/SEGMENT"
@@ -340,7 +340,7 @@ class WaymoRecording:
         return {_NAMES[number]: stream for number, stream in self._streams.items()}
 
     def boxes(self) -> pa.Table | None:
-        """Return the boxes of the lidar labels; None: they were not downloaded."""
+        """Return the boxes of the lidar labels; None if the labels were not downloaded."""
         file = self._find(_BOXES)
         if file is None:
             return None

@@ -55,7 +55,7 @@ class Finish(NamedTuple):
 
 
 class Pieces:
-    """Collects polygons; :meth:`model` builds one model of them, in the order of their addition.
+    """A collector of polygons; :meth:`model` builds one model from all, in the order of their addition.
 
     u runs along the first edge of a polygon, v is 90 degrees counter-clockwise from it; both are 0 in the middle of
     the polygon's extents.

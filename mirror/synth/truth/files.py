@@ -53,7 +53,7 @@ class TruthDocument(Document):
 
 @dataclass(frozen=True)
 class Truth:
-    """Reads the ground truth of one recording.
+    """A reader of the ground truth of one recording.
 
     Args:
         recording: folder of the recording.

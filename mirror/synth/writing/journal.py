@@ -55,7 +55,7 @@ class SynthDocument(Document):
 
 
 class Journal:
-    """Keeps track of the complete recordings of a folder; see `open_journal`."""
+    """A journal of the complete recordings of a folder; see `open_journal`."""
 
     def __init__(self, out: Path, document: SynthDocument) -> None:
         self._out, self._document = out, document

@@ -62,7 +62,7 @@ class ClipSettings:
 
 @dataclass
 class ClipMaker:
-    """Makes the clips of traversals into a folder.
+    """A maker of the clips of traversals, which it writes into a folder.
 
     Attributes:
         root: folder or address of the dataset.

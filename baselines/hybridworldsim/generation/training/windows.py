@@ -100,7 +100,7 @@ class _PreparedClip:
 
 
 def latent_weights(clip: Clip, stride: int) -> Tensor | None:
-    """Return the weights (F, V, H, W) of a clip's latents: the means of `pixel_weights`; None: all count alike.
+    """Return the weights (F, V, H, W) of a clip's latents: means of `pixel_weights`; None if all count equally.
 
     Args:
         clip: the clip.

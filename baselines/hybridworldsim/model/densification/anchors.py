@@ -21,7 +21,7 @@ _SPREAD = 0.5
 
 
 class AnchorRefiner:
-    """Collects statistics of anchors and refines them, as in Scaffold-GS, with a cap in place of thresholds.
+    """A collector of statistics of anchors that refines them as in Scaffold-GS, with a cap in place of thresholds.
 
     Args:
         node: the anchors; their tables are replaced.

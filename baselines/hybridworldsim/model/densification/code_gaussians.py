@@ -21,7 +21,7 @@ _MIN_OPACITY = 0.005
 
 
 class CodeRefiner:
-    """Collects statistics of Code-Gaussians and refines them.
+    """A collector of statistics of Code-Gaussians that refines them.
 
     Args:
         node: the Code-Gaussians; their tables are replaced.

@@ -94,7 +94,7 @@ def list_posed_images(
 
 
 class StereoImageCache:
-    """Decodes images to `StereoImage` on access, and keeps the most recently used ones.
+    """A cache that decodes images to `StereoImage` on access, and keeps the most recently used ones.
 
     Args:
         images: the images.

@@ -9,7 +9,7 @@ from hybridworldsim.mvs.learned.layers import ConvNormReLU, make_doubling_convol
 
 
 class PatchmatchRefinement(nn.Module):
-    """Computes the residual between the depth map doubled in size and the refined one, as a share of the range."""
+    """A network for the residual that is added to the depth map of doubled size, as a share of the range."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -9,7 +9,7 @@ from hybridworldsim.mvs.learned.layers import ConvNormReLU
 
 
 class GroupScore(nn.Module):
-    """Maps the similarities of G groups to one score, by three layers of 16, 8 and 1 channels.
+    """A network that maps the similarities of G groups to one score, by three layers of 16, 8 and 1 channels.
 
     Args:
         groups: G.

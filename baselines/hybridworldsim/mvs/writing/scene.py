@@ -54,7 +54,7 @@ class PixelCounts(NamedTuple):
 
 
 class SceneInitialisation:
-    """Computes and writes the layers of one scene.
+    """The initialisation of one scene: computes and writes its layers.
 
     Args:
         view: the training traversals of the scene.

@@ -35,7 +35,7 @@ _SETTINGS: Final = {
 
 
 class TinyAnnotator:
-    """Runs a network on one frame after the other.
+    """An annotator that runs a network on one frame after the other.
 
     Args:
         network: the network, in evaluation mode.

@@ -103,7 +103,7 @@ def ray_pitch(directions: Tensor) -> Tensor:
 
 
 class DenseHead(nn.Module):
-    """Reads cells from features, with the geometry of their rays.
+    """A head that predicts cells from features and the geometry of their rays.
 
     Args:
         dim: channels of the features.

@@ -22,7 +22,7 @@ _GAIN, _OFFSET = 0.2, 0.1
 
 
 class TinyTrainer:
-    """Trains the network on samples that are held in memory.
+    """A trainer of the network on samples that are held in memory.
 
     Args:
         samples: the frames.

@@ -27,7 +27,7 @@ _LONGEST_CORRECTION_M: Final = 2.0
 
 
 class TrajectoryTracker:
-    """Turns a trajectory into controls.
+    """A controller that turns a trajectory into controls.
 
     Args:
         vehicle: the vehicle.

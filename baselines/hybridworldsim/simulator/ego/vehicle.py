@@ -25,7 +25,7 @@ _STRAIGHT_RAD: Final = 1e-4
 
 @dataclass(frozen=True)
 class VehicleParameters:
-    """Dimensions and limits of a vehicle. The defaults are those of a saloon.
+    """Dimensions and limits of a vehicle; the defaults are a saloon's.
 
     Attributes:
         length_m: length of the body.

@@ -46,7 +46,7 @@ DRIVER_CALLS: Final = {
 
 
 class RemotePolicy:
-    """Sends each observation to a driver, waits until all parts of it are acknowledged, and asks for a trajectory.
+    """A policy that sends each observation to a driver, waits for acknowledgements, and asks for a trajectory.
 
     Poses on the wire are in the frame of the ego at the start of the rollout. Images carry the stamp of the step as the
     begin and the end of their exposure. Nothing that a driver sends is executed or unpickled.

@@ -65,7 +65,7 @@ class Limits:
 
 
 class SensorService:
-    """Answers the calls of the service; each method takes a request and returns an answer.
+    """The sensor service's answers to its calls; each method takes a request and returns an answer.
 
     Args:
         scenes: the scenes by id.

@@ -54,7 +54,7 @@ class AgentImage:
 
 
 class AgentLayer:
-    """Draws the agents of a rollout, in one scene whose road users read the live states.
+    """A drawer of the agents of a rollout, in one scene whose road users read the live states.
 
     Args:
         street: the street.
@@ -74,7 +74,7 @@ class AgentLayer:
         return self._scene.at(snapshot.time_s, ego_pose(self._street, snapshot))
 
     def draw(self, instant: Instant, camera: Camera, world_SE3_camera: Poses) -> AgentImage | None:
-        """Draw the agents that a pinhole sees; None: there is none."""
+        """Draw the agents that a pinhole camera sees; None if it sees none."""
         lens = lens_of(camera)
         rotation = matrix_from_quaternion(world_SE3_camera.rotation)[0]
         view = rasterize_view(instant.surroundings, lens, rotation, world_SE3_camera.translation[0])

@@ -20,7 +20,7 @@ _NOISE_SEEDS = 1 << 31
 
 
 class ExactRenderer(Renderer):
-    """Renders the synthetic street. One scene serves the whole rollout; its road users read the live states.
+    """A renderer of the synthetic street, with one scene for a rollout, whose road users read the live states.
 
     Args:
         street: a synthetic street.

@@ -17,7 +17,7 @@ class PolicyError(MirrorError):
 
 
 class PolicyRunner:
-    """Runs a policy on a thread of its own, so that a policy that hangs ends the rollout and not the program.
+    """A runner of a policy on its own thread, so that a policy that hangs ends the rollout and not the program.
 
     Args:
         policy: the policy.

@@ -18,7 +18,7 @@ from mirror.schema.scenario import Scenario
 
 @dataclass(frozen=True, eq=False)
 class DrivenAgain:
-    """The states that recorded controls lead to when they are driven again.
+    """The states that result when recorded controls are driven again.
 
     Attributes:
         log: the states of the ego and of the agents that are present at some instant.

@@ -58,7 +58,7 @@ class Walls:
         return cls(street, model, np.ascontiguousarray(low[:, :2].T), np.ascontiguousarray(high[:, :2].T))
 
     def find(self, points: Float64) -> str | None:
-        """Return the name of the wall over one of the points (N, 2), up to the height of a person; None: no wall."""
+        """Return the name of the wall over one of the points (N, 2), up to a person's height; None without a wall."""
         if self.model is None:
             return None
         from mirror.synth import Label, cast_rays

@@ -77,7 +77,7 @@ def _processor_time_s() -> float:
 
 
 class Clock:
-    """Measures processor time of this process without compilation, and wall time; it can be paused.
+    """A clock of the process's processor time without compilation, and of wall time; it can be paused.
 
     Args:
         spent_s: initial processor time: that of an earlier run.

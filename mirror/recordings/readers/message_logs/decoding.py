@@ -127,7 +127,7 @@ def kind_of(topic: Topic) -> Kind | None:
 
 
 class MessageDecoder:
-    """Decodes the messages of one log.
+    """A decoder of the messages of one log.
 
     Args:
         path: the log, for messages.

@@ -25,7 +25,7 @@ VIDEO_SUFFIXES: Final = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
 
 
 def image_codec(data: bytes) -> str | None:
-    """Return ``jpeg`` or ``png`` by the first bytes of an encoded image; None: another format."""
+    """Return ``jpeg`` or ``png`` by the first bytes of an encoded image; None for another format."""
     return next((codec for magic, codec in _MAGIC.items() if data.startswith(magic)), None)
 
 

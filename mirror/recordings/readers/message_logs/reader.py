@@ -104,7 +104,7 @@ def _all_topics(logs: tuple[MessageLog, ...]) -> dict[str, Topic]:
 
 
 class McapReader(_LogReader):
-    """Reads MCAP files with ROS 2 (CDR), Protobuf or JSON messages."""
+    """A reader of MCAP files with ROS 2 (CDR), Protobuf or JSON messages."""
 
     name = "mcap"
     expects = "a file *.mcap with a topics file *.toml beside it, or a folder of them with topics.toml"
@@ -116,7 +116,7 @@ class McapReader(_LogReader):
 
 
 class Rosbag2Reader(_LogReader):
-    """Reads rosbag2 databases."""
+    """A reader of rosbag2 databases."""
 
     name = "rosbag2"
     expects = "a file *.db3 with a topics file *.toml beside it, or a rosbag2 folder with topics.toml"

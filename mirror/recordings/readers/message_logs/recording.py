@@ -85,7 +85,7 @@ class LogRecording:
 
     @property
     def rig(self) -> RigInfo | None:
-        """The cameras of the topics file; None: it has none."""
+        """The cameras of the topics file; None if it has none."""
         cameras = self.document.cameras
         if not cameras:
             return None

@@ -43,7 +43,7 @@ class Transforms:
         return {name for edge in self._stamps for name in edge}
 
     def mounting(self, ego: str, frame: str) -> Poses | None:
-        """Return ``ego_SE3_frame`` of a frame that is fixed to the vehicle; None: no chain of transforms leads there.
+        """Return ``ego_SE3_frame`` of a frame that is fixed to the vehicle; None if no transforms lead there.
 
         Raises:
             RecordingError: a transform of the chain is invalid, or changes over time.

@@ -72,7 +72,7 @@ _OTHER: Final = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT}
 
 
 class Sheets:
-    """Collects planar convex polygons; :meth:`model` converts them to one model.
+    """A collector of planar convex polygons; :meth:`model` converts them to one model.
 
     Args:
         label: semantic class of all faces.

@@ -70,7 +70,7 @@ class PartOutput:
 
 
 class OrderedOutput:
-    """Arrays that parts of unknown length fill in order.
+    """Arrays that parts of unknown length fill in the order of the parts.
 
     The next part in order writes directly to the arrays. Other parts write to a workspace and are copied later.
 

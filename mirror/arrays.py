@@ -22,7 +22,7 @@ Records: TypeAlias = Any
 
 
 def read_only(array: _Array) -> _Array:
-    """Return a view of an array that cannot be written to.
+    """Return a read-only view of an array.
 
     Numba compiles a kernel once more for arrays that cannot be written to, such as those of a Parquet file, than for
     others; kernels that get views of one kind are compiled once.

@@ -212,7 +212,7 @@ def list_parts(interface: type) -> set[str]:
 
 
 def installed_entries(group: str) -> tuple[EntryPoint, ...]:
-    """Return the entry points of a group in the order of names; each package's are read once for each ``sys.path``."""
+    """Return the entry points of a group, ordered by name; each package is read once per ``sys.path``."""
     return _entries(group, tuple(sys.path))
 
 

@@ -90,7 +90,7 @@ def _begin(begin: Callable[..., None], args: tuple[Any, ...], kwargs: dict[str, 
 
 
 def end_with_parent() -> None:
-    """End this process when its parent has ended; for a thread of a worker."""
+    """End this process when its parent has ended; run it in a thread of a worker."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

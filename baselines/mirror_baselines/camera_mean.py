@@ -51,7 +51,7 @@ def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
 def mean_images(
     images: Sequence[Image], sizes: Sequence[tuple[int, int]], pixels: Pixels
 ) -> dict[tuple[int, int], UInt8]:
-    """Average images of a camera, at most `MAX_IMAGES` of them, in the raster of a protocol.
+    """Average at most `MAX_IMAGES` images of a camera, in the raster of a protocol.
 
     Args:
         images: (N,) N >= 1, of one camera.

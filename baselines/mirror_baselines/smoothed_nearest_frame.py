@@ -43,7 +43,7 @@ def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
 
 
 def smooth_image(image: UInt8, luma_sigma_px: float, chroma_sigma_px: float) -> UInt8:
-    """Smooth the luma of ITU-R BT.601 of an image, and the differences of its channels from luma, by gaussians.
+    """Smooth an image by Gaussians: its luma (ITU-R BT.601), and the differences of its channels from luma.
 
     Args:
         image: (H, W, 3), RGB.

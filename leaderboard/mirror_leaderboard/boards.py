@@ -73,12 +73,12 @@ class Board:
 
     @property
     def is_older(self) -> bool:
-        """Return whether the entries were measured by another version of the protocol than today's."""
+        """Return whether the entries were measured by another version of the protocol than the present one."""
         return self.hashes is not None and load_protocol(self.protocol).hash != self.hashes[0]
 
     @property
     def is_practice(self) -> bool:
-        """Return whether the title names a public seed, from which anybody can make the images that are scored."""
+        """Return whether the board's seed is public, so that anybody can make the scored images."""
         return self.hashes is not None and _PUBLIC_SEED.search(self.title) is not None
 
     @property

@@ -48,7 +48,7 @@ _UNVERIFIED: Final = "leave --street and --scenarios out: the row is then unveri
 
 @dataclass(frozen=True, eq=False)
 class AskedDrive:
-    """One drive that was asked for.
+    """One drive that an organiser asked for.
 
     Attributes:
         street: the street.

@@ -86,7 +86,7 @@ def require_trusted(board: Path, entries: Sequence[Entry]) -> None:
 
 
 def sign_entries(board: Path, key_file: Path, day: date | None = None) -> list[Measured]:
-    """Sign the measured entries of a board without a signature that counts; the first key of a board is listed.
+    """Sign the measured entries of a board without a counting signature; the first key of a board is listed.
 
     Args:
         board: folder of the board.

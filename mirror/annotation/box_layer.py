@@ -43,7 +43,7 @@ def choose_box_layer(dataset: Dataset, requested: str | None) -> str:
 
 
 def with_box_layer(dataset: Dataset, requested: str | None) -> Dataset:
-    """Return a view that reads the requested layer of boxes, or the only one; the view as it is if there are no boxes.
+    """Return a view that reads the requested layer of boxes, or the only one; unchanged if there are no boxes.
 
     Raises:
         UsageError: there is no such layer, or there are several and none was requested.

@@ -85,7 +85,7 @@ class InstalledDescriber(Protocol):
     settings: Mapping[str, str]
 
     def open(self, dataset: Dataset, settings: Mapping[str, str], device: str) -> Describer:
-        """Make the describer ready; see `mirror.annotation.protocol.InstalledAnnotator.open`."""
+        """Open the describer; see `mirror.annotation.protocol.InstalledAnnotator.open`."""
 
 
 class RecordedDescriber:

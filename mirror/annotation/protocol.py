@@ -50,7 +50,7 @@ class InstalledAnnotator(Protocol):
     """The settings that `open` accepts, each with one line of help."""
 
     def open(self, dataset: Dataset, settings: Mapping[str, str], device: str) -> Annotator:
-        """Make the annotator ready.
+        """Open the annotator, ready to annotate.
 
         Args:
             dataset: the dataset, or the view, to be annotated.

@@ -38,7 +38,7 @@ def installed_annotator(name: str) -> InstalledAnnotator:
 def open_annotator(
     name: str, installed: InstalledAnnotator, dataset: Dataset, settings: Mapping[str, str], device: str
 ) -> Annotator:
-    """Open an annotator, see `InstalledAnnotator.open`, and require that it can annotate.
+    """Open an annotator, and require that it can annotate; see `InstalledAnnotator.open`.
 
     Raises:
         UsageError: a setting is invalid, or what it returns lacks a part of the interface.

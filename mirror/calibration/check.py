@@ -68,7 +68,7 @@ class CameraCheck:
     source_share: tuple[float, float, float]
 
     def unobservable_axes(self) -> list[str]:
-        """Return the names of the axes about which the error is unknown."""
+        """Return the names of the axes about which the rotation error is unknown."""
         return [axis for axis, known in zip(AXES, self.observable) if not known]
 
 

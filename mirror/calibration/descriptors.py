@@ -23,7 +23,7 @@ COLMAP_FARTHEST_RAD: Final = 0.7
 def find_clear_nearest(
     first: Float32, second: Float32, similarity: Float32, ratio: float = COLMAP_RATIO, farthest_rad: float = np.inf
 ) -> Int64:
-    """Find the nearest descriptor of the second image for each of the first, where it is clearly the nearest.
+    """Find, for each descriptor of the first image, the nearest of the second, if it is clearly the nearest.
 
     Args:
         first: (N, D) unit vectors.
@@ -40,7 +40,7 @@ def find_clear_nearest(
 
 
 def find_nearest(first: Float32, second: Float32, similarity: Float32) -> Int64:
-    """Find the nearest descriptor (N,) of the second image for each of the first; of two equal ones the earlier."""
+    """Find, for each descriptor of the first image, the nearest (N,) of the second; on a tie the earlier."""
     return _compare_candidates(first, second, similarity)[0]
 
 

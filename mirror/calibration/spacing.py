@@ -19,7 +19,7 @@ _MOVING = 0.05
 
 @dataclass(frozen=True)
 class PairAttempt:
-    """Tracking from one image of a camera to the next.
+    """An attempt to track points from one image of a camera to the next.
 
     Attributes:
         camera: name of the camera.
@@ -71,7 +71,7 @@ class ImageSpacing:
         return cls(*np.median(pairs[moving] if moving.any() else pairs, axis=0).tolist())
 
     def steps(self, choice: FrameChoice) -> float:
-        """Return the spacing in steps of a choice of frames."""
+        """Return the spacing of the images, measured in steps of a choice of frames."""
         return float(np.hypot(self.distance_m / choice.step_m, self.turn_deg / choice.step_deg))
 
     @property
@@ -83,7 +83,7 @@ class ImageSpacing:
         return f"{self.distance_m:.1f} m and {self.turn_deg:.0f} degrees ({self.interval_s:.2g} s)"
 
     def needed(self) -> str:
-        """Return the rate of images at this speed that tracking needs."""
+        """Return the image rate that tracking needs at this speed."""
         usual = FrameChoice()
         rate = self.steps(usual) / self.interval_s
         apart = f"{usual.step_m:g} m or {usual.step_deg:g} degrees apart"
@@ -93,7 +93,7 @@ class ImageSpacing:
 def untracked_error(
     attempts: Sequence[PairAttempt], least: int, chosen: ImageSpacing, recorded: ImageSpacing
 ) -> UsageError:
-    """Return the error of a drive of which no two images have enough tracks.
+    """Return the error for a drive in which no two images have enough tracks.
 
     Args:
         attempts: what tracking found in each pair of neighbouring images; may be empty.

@@ -93,7 +93,7 @@ def clopper_pearson(successes: int, samples: int, confidence: float = CONFIDENCE
 
 
 def samples_needed(share: float = SHARE, confidence: float = CONFIDENCE) -> int:
-    """Return the number of independent samples that must all be good to show a share of good ones with a confidence."""
+    """Return the number of independent samples, all good, that show a share of good ones with a confidence."""
     return int(np.ceil(np.log(1.0 - confidence) / np.log(share)))
 
 

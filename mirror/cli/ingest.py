@@ -45,7 +45,7 @@ class TriggerArguments:
 
 @dataclass(frozen=True)
 class Cleaning:
-    """Thresholds that clean position fixes before the trigger. Defaults: those of the dataset, or these."""
+    """Thresholds that clean position fixes before the trigger. Defaults: the dataset's, or these."""
 
     max_speed_mps: Annotated[float | None, help_text(default="70")] = None
     """A fix that needs a higher speed is an outlier."""

@@ -42,7 +42,7 @@ class Frame:
 
     @cached_property
     def images(self) -> Mapping[str, Image]:
-        """Images by camera, in the rig's order, without the cameras that have no image in this frame."""
+        """Images by camera, in the rig's order; cameras without an image in this frame are left out."""
         rows = {row["camera"]: row for row in self._traversal.image_rows(self.frame_index)}
         return {
             camera: Image(**rows[camera], _traversal=self._traversal, _loader=self._loader)
@@ -79,7 +79,7 @@ class Frame:
         return self._traversal.track_ids
 
     def boxes(self, frame: str = "ego") -> FrameBoxes:
-        """Return the boxes nearest in time, if they are at most half of their period away; else no boxes.
+        """Return the boxes of the nearest time, if within half the boxes' period; else no boxes.
 
         Args:
             frame: frame of the poses: ``ego`` at the boxes' own time, ``world``, or ``camera:<name>`` at the
@@ -147,7 +147,7 @@ class Frame:
     def decode_into(
         self, planes: UInt8, cameras: Sequence[str], *, threads: int | None = None, verify: bool = False
     ) -> None:
-        """Decode images into an existing array. The part of a camera without an image is not changed.
+        """Decode images into an existing array; the part of a camera without an image is not changed.
 
         Args:
             planes: (C, 3, H, W) uint8; the part of each camera is contiguous.

@@ -121,7 +121,7 @@ class Generation:
 
 
 def supersede(layout: Layout, path: Path) -> None:
-    """Move a file, or the folder of a drive, traversal or map, out of the way.
+    """Move a file, or the folder of a drive, traversal or map, to where readers of older generations find it.
 
     The caller holds the dataset's writer lock. A file or folder that was written after the current generation has no
     reader and is removed.

@@ -43,7 +43,7 @@ class Mask:
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """The depth map of one image; its pose is that of the image.
+    """The depth map of one image, with the image's pose.
 
     Attributes:
         lens: its pinhole camera, with the raster of the map.

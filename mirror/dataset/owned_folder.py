@@ -69,7 +69,7 @@ class OwnedFolder:
 
 
 def abandoned_folders(parent: Path, name: str) -> Iterator[Path]:
-    """Yield folders of `OwnedFolder` with a dead owner, or without a change for `LEFT_OVER_AGE_S`.
+    """Yield folders of `OwnedFolder` with a dead owner, or unchanged for `LEFT_OVER_AGE_S`.
 
     The caller removes each of them.
 

@@ -44,7 +44,7 @@ class Points:
 
 
 def read_points(catalog: Catalog, filters: Filters, chosen: str | None) -> Points:
-    """Read the points of the chosen layer, of the traversals that pass the filters; see `Dataset.points`."""
+    """Read the points of the chosen layer, in the traversals that pass the filters; see `Dataset.points`."""
     if chosen is not None:
         layers = read_rows(catalog, filters, "traversals", ["layers"]).column(0).to_pylist()
         if layers and not any(f"{POINTS.name}/{chosen}" in names for names in layers):

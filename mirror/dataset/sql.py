@@ -49,7 +49,7 @@ class QueriedTables(Protocol):
 
 
 def run_sql(tables: QueriedTables, query: str) -> pa.Table:
-    """Run a query; see `mirror.dataset.dataset.Dataset.sql`."""
+    """Run an SQL query; see `mirror.dataset.dataset.Dataset.sql`."""
     try:
         import duckdb
     except ImportError as error:

@@ -133,7 +133,7 @@ class Store:
         return bytes(self._remote[0].cat_file(self._remote_path(path)))
 
     def pieces(self, path: str, limit: int) -> Iterator[bytes]:
-        """Read one file piece by piece, and stop after a number of bytes, however long the file is.
+        """Read one file piece by piece, up to a number of bytes.
 
         Raises:
             ReadError: the file cannot be read, for whatever reason its file system has.
@@ -159,7 +159,7 @@ class Store:
         return filesystem.open(self._remote_path(path), "rb", **({"block_size": 0} if is_http else {}))
 
     def read_many(self, paths: Sequence[str]) -> dict[str, bytes]:
-        """Read the bytes of the existing files among some, by path. Remote files are fetched in parallel."""
+        """Read the bytes of the existing ones among some files, by path; remote files are fetched in parallel."""
         if self.folder is None:
             contents = (
                 self._remote[0].cat([self._remote_path(path) for path in paths], on_error="omit") if paths else {}
@@ -243,7 +243,7 @@ class Store:
         )
 
     def open_uri(self, uri: str, local: Callable[[Path], Result], remote: Callable[[Any, str], Result]) -> Result:
-        """Read or open an image's uri with one of two functions.
+        """Call one of two functions on an image's uri, to read or open it.
 
         Args:
             uri: uri in the image's row.
@@ -317,7 +317,7 @@ def store_at(root: str, sha256: str | None) -> Store:
 
 
 def unreadable_error(file: str, error: BaseException) -> SchemaError:
-    """Return the error for an unreadable Parquet file."""
+    """Make the error for an unreadable Parquet file."""
     return SchemaError(
         f"cannot be read ({str(error).splitlines()[0]})",
         file=file,

@@ -354,7 +354,7 @@ def layer_names(source: pa.Array, version: pa.Array) -> pa.Array:
 
 
 def missing_layer_error(kind: str, layer: str, where: str) -> DatasetError:
-    """Return the error for a missing layer."""
+    """Make the error for a missing layer."""
     return DatasetError(
         f"there is no {kind} layer {layer}",
         file=where,

@@ -48,7 +48,7 @@ def remove_work(folder: Path) -> None:
 
 
 def drop_work(layout: Layout, traversal_id: str) -> None:
-    """Remove all unfinished work on a traversal, such as one that is replaced by another recording of it.
+    """Remove all unfinished work on a traversal, such as one that another recording replaces.
 
     Raises:
         DatasetError: it cannot be removed.

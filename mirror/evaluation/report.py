@@ -78,7 +78,7 @@ def write_report(done: Evaluation, out: Path, baselines: Sequence[Result] = ()) 
 
 
 def error_map(render: UInt8, truth: UInt8, scored: Bool) -> UInt8:
-    """Colour the absolute difference, mean over channels: black is 0, then red and yellow, white is 64 levels or more.
+    """Colour the absolute difference, averaged over channels: 0 is black, then red, yellow, and white from 64 levels.
 
     Args:
         render: (H, W, 3), RGB.
@@ -94,7 +94,7 @@ def error_map(render: UInt8, truth: UInt8, scored: Bool) -> UInt8:
 
 
 def cover(image: UInt8, hidden: Bool) -> UInt8:
-    """Return an image (H, W, 3) whose pixels in a mask (H, W) are grey."""
+    """Return an image (H, W, 3) in which the pixels of a mask (H, W) are grey."""
     covered = image.copy()
     covered[hidden] = _GREY
     return covered

@@ -95,7 +95,7 @@ def summary_table(result: Result, baselines: Sequence[Result], notes: Footnotes)
 
 
 def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, str] = LEVELS) -> Iterator[Breakdown]:
-    """Arrange the figures of each level under its title; a level with one part repeats the groups."""
+    """Arrange the figures of each level under its title; with one part, a level's figures equal the groups'."""
     for level, title in levels.items():
         rows: dict[tuple[str, str], dict[str, GroupFigure]] = {}
         for figure in result.figures:

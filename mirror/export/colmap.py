@@ -52,7 +52,7 @@ class _Segment:
 
 
 def write_sparse_model(scene: ExportScene, folder: Path, lens_of: LensMap) -> Written:
-    """Write the sparse model of a scene.
+    """Write the sparse COLMAP model of a scene.
 
     Args:
         scene: what is exported.

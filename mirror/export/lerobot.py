@@ -256,7 +256,7 @@ def _rows(
 
 
 def motions(world_SE3_ego: Poses) -> Float64:
-    """Return the motion (N, 3) from each pose to the next: metres forward and left, and radians to the left.
+    """Return the motion (N, 3) from each pose to the next: metres forward and to the left, and radians to the left.
 
     The last one is repeated.
     """

@@ -54,7 +54,7 @@ class ExportImage:
 
     @property
     def is_resampled(self) -> bool:
-        """Return whether the exported pixels differ from the recorded ones."""
+        """Return whether the exported pixels are resampled from the recorded ones."""
         return self.raster.final != self.raster.recorded
 
     @property

@@ -56,7 +56,7 @@ def corners(poses: Poses, lwh_m: npt.ArrayLike) -> Float64:
 
 
 def points_in_boxes(points: npt.ArrayLike, poses: Poses, lwh_m: npt.ArrayLike) -> Bool:
-    """Mark the points that each box holds, its surface included.
+    """Mark the points that lie in or on each box.
 
     Args:
         points: (M, 3) in the frame dst; a point that is not finite is in no box.

@@ -123,7 +123,7 @@ class Poses:
 
     @classmethod
     def exp(cls, twist: npt.ArrayLike) -> Poses:
-        """Return the motions reached after one unit of time at constant twist: the exponential map of SE(3).
+        """Return the motions after one unit of time at constant twist: the exponential map of SE(3).
 
         Args:
             twist: (N, 6) rotation vector (rad), then velocity (m), both in the moving frame, as in the
@@ -145,7 +145,7 @@ class Poses:
         return cls.unchecked(canonical(motion[:, :4]), motion[:, 4:])
 
     def log(self) -> Float64:
-        """Return the twists (N, 6) whose `exp` these motions are: rotation of at most pi first, then translation."""
+        """Return the twists (N, 6) whose `exp` gives these motions: rotation of at most pi first, then translation."""
         return broadcast(log_kernel, 6, np.concatenate((self.rotation, self.translation), axis=1))
 
     def __len__(self) -> int:

@@ -25,7 +25,7 @@ _SAME_NS = 1_000_000
 
 
 class StepRule(NamedTuple):
-    """The rule that decides which fixes count for the path.
+    """The rule that decides which fixes count for the length of the path.
 
     Attributes:
         sigma_m: (N,) horizontal standard deviation of each fix, or (0,) if not known.

@@ -36,10 +36,10 @@ class DepthRenderer(Protocol):
 
 
 class CoverRenderer(Protocol):
-    """A renderer that also returns the share of each pixel that the model before a depth covers."""
+    """A renderer that also returns the share of each pixel that the model nearer than a depth covers."""
 
     def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[DepthRendering, Any]:
-        """Render a view with its depth, and the share of each pixel that the model before a depth covers.
+        """Render a view with its depth, and the share of each pixel that the model nearer than a depth covers.
 
         Args:
             view: the view.

@@ -29,7 +29,7 @@ class FoundRecordings:
 
 
 def find_recordings(paths: Sequence[Path], reader: str | None = None) -> FoundRecordings:
-    """Replace each folder of recordings by the recordings that lie directly in it, or that its format keeps in it.
+    """Replace each folder by the recordings directly in it, or by the ones that its format keeps in it.
 
     A path that a reader recognises is a recording, whatever it contains. A path without a recording in it also counts
     as one: opening it then reports what is wrong with it. Names that begin with a dot are ignored, and in a folder of

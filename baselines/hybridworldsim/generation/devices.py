@@ -25,7 +25,7 @@ def computing_in(precision: Precision, device: torch.device | str) -> AbstractCo
 
 @contextmanager
 def repeating_exactly(device: str) -> Iterator[None]:
-    """Make a CUDA device give equal bits for equal computations, as the processor always does.
+    """Make a CUDA device give equal bits for equal computations, as a CPU always does.
 
     Args:
         device: where the networks are.

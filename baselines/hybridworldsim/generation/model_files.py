@@ -75,7 +75,7 @@ def read_generator(path: Path) -> tuple[Transformer, int]:
 
 
 def captioned_config(path: Path) -> TransformerConfig:
-    """Return the configuration of a generator that was trained with captions; its tensors are not read.
+    """Return the configuration of a generator trained with captions; its tensors are not read.
 
     Raises:
         UsageError: it was trained without, so that the parameters that read captions are random.

@@ -64,12 +64,12 @@ def broadcast(context: Any, builder: Any, value: Any, kind: Any, vector: Vector)
 
 
 def shuffle(builder: Any, a: Any, b: Any, order: list[int]) -> Any:
-    """Make a vector of elements of two vectors; ``order`` counts through both."""
+    """Make a vector from elements of two vectors; ``order`` holds indices into both, concatenated."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(I32, len(order)), order))
 
 
 def elementwise(kinds: tuple[Vector, ...], result: Any, emit: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the typing function of an intrinsic on vectors; scalar arguments are broadcast.
+    """Make the typing function of an intrinsic on vectors, which broadcasts scalar arguments.
 
     Args:
         kinds: vector types of the arguments.

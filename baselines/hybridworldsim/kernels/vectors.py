@@ -223,7 +223,7 @@ def load(typing_context: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def load_one(typing_context: Any, array: Any, index: Any) -> Any:
-    """Load the element at an index of a contiguous one-dimensional array and broadcast it; there is no bounds check."""
+    """Load one element of a contiguous one-dimensional array and broadcast it; there is no bounds check."""
     vector = Vector(array.dtype, WIDTH)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -247,7 +247,7 @@ def store(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
 
 @intrinsic
 def store_nontemporal(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
-    """Store a full cache line past the caches into an aligned one-dimensional array, because it is not read soon.
+    """Store a full cache line in an aligned one-dimensional array, bypassing the caches, for data not read soon.
 
     Call `fence` before another thread reads the line.
     """

@@ -44,7 +44,7 @@ class Block:
 
     @property
     def half_extent_m(self) -> float:
-        """Distance along an axis from the centre to the end of the block's geometry: one overlap beyond its edge."""
+        """Distance along an axis from the block's centre to the end of its geometry: one overlap beyond its edge."""
         return self.size_m / 2.0 + self.overlap_m
 
     def local(self, points_m: Float64) -> Float64:

@@ -26,7 +26,7 @@ _MEMORY_STEPS: Final = 192
 
 
 class LazyAdam:
-    """Adam that treats the gradient of each row that a step does not use as zero.
+    """Adam that treats the gradient of a row as zero in each step that does not use the row.
 
     Such a row still moves by its moments, less at each step. Without Adam's bias corrections the sum of these moves has
     a closed form. A row is brought up to date when a step uses it again, with the learning rates of that step.
@@ -93,7 +93,7 @@ class LazyAdam:
 
     @torch.no_grad()
     def replace(self, keep: Tensor, added: Mapping[str, Tensor]) -> None:
-        """Remove rows and append others without moments. All rows must be up to date.
+        """Remove rows and append others without moments; all rows must be up to date.
 
         Args:
             keep: (N,) int64 rows that stay, ascending.

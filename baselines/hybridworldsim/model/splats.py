@@ -40,7 +40,7 @@ class DecodedSplats:
 
 
 def concatenate_splats(parts: Sequence[DecodedSplats]) -> DecodedSplats:
-    """Concatenate the Gaussians of several nodes; `rows` counts through all of them."""
+    """Concatenate the Gaussians of several nodes; `rows` numbers the Gaussians of all nodes."""
     return DecodedSplats(
         torch.cat([part.means for part in parts]),
         torch.cat([part.quats for part in parts]),

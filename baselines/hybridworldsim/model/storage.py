@@ -34,7 +34,7 @@ class FormatEntry(BaseModel):
 
 
 class BlockEntry(BaseModel):
-    """The metadata of a block's file: JSON with texts of JSON in it."""
+    """The metadata of a block's file: a JSON object whose values are JSON texts."""
 
     block: Json[Block]
     radius_m: float

@@ -126,7 +126,7 @@ class StreetTrainer:
             tables.catch_up(rates)
 
     def visible_rows(self, viewpoint: Viewpoint) -> NodeRows:
-        """Begin a step of the optimisers with the rows that the viewpoint may see."""
+        """Begin a step of the optimisers for the rows that the viewpoint may see."""
         street = self.street
         if dense := [tables for tables in self._tables if isinstance(tables, DenseAdam)]:
             every = [torch.arange(len(node), device=self._device) for node in street.nodes]

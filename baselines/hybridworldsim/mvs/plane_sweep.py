@@ -98,6 +98,6 @@ class PlaneSweep:
 
 
 def to_grey(image: StereoImage) -> Float32:
-    """Compute the luma (H, W) of an image, from -0.5 to 0.5; NaN where it is not valid."""
+    """Compute the luma (H, W) of an image, from -0.5 to 0.5; NaN at invalid pixels."""
     luma: Float64 = image.rgb @ np.array(_LUMA) / 255.0 - 0.5
     return np.where(image.valid, luma, np.nan).astype(np.float32)

@@ -13,7 +13,7 @@ class Attention(nn.Module):
         self.attn = nn.MultiheadAttention(dim, heads, dropout, batch_first=True)
 
     def forward(self, x: Tensor, position: Tensor, keys: Tensor, key_position: Tensor) -> Tensor:
-        """Let queries (B, Q, C) attend to keys (B, K, C); return (B, Q, C)."""
+        """Let queries (B, Q, C) attend to keys (B, K, C); returns (B, Q, C)."""
         attended: Tensor = self.attn(x + position, keys + key_position, keys, need_weights=False)[0]
         return x + attended
 
@@ -49,7 +49,7 @@ class DecoderLayer(nn.Module):
 
 
 class Decoder(nn.Module):
-    """All layers; one normalisation is shared by the outputs of all of them."""
+    """All layers, whose outputs share one normalisation."""
 
     def __init__(self, layers: int, dim: int, heads: int, hidden: int, dropout: float) -> None:
         super().__init__()

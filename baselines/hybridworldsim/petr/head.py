@@ -115,7 +115,7 @@ class DetectionHead(nn.Module):
         return encoded
 
     def forward(self, features: Tensor, points: Tensor) -> HeadOutput:
-        """Find boxes.
+        """Find boxes in the features of images.
 
         Args:
             features: (B, N, channels, H, W) of N cameras.

@@ -120,7 +120,7 @@ class GaussianLayout:
         return joined, parts
 
     def make_indices(self) -> dict[str, Tensor | None]:
-        """Make the scene, camera and Gaussian index of each row of a packed tensor; None if it is not packed."""
+        """Make the scene, camera and Gaussian index of each row of a packed tensor; None if not packed."""
         if not self._packed:
             return {"batch_ids": None, "camera_ids": None, "gaussian_ids": None}
         indices = [divmod(image, self._leading[-1]) for image in range(len(self._ids))]

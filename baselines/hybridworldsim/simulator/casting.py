@@ -57,7 +57,7 @@ _TRIES: Final = (8, 192)
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """The street and the ego's plan, which the casting of agents needs.
+    """The street and the ego's plan, from which agents are cast.
 
     Attributes:
         street: the street.

@@ -52,7 +52,7 @@ class RenderableModel(Protocol):
         ...
 
     def render(self, viewpoint: Viewpoint) -> Rendering:
-        """Render without gradients, with the appearance of the viewpoint's source, which must be a training source."""
+        """Render without gradients, in the appearance of the viewpoint's source, which must be a training source."""
         ...
 
 
@@ -61,7 +61,7 @@ class TrainableMethod(RenderableModel, Protocol):
 
     @property
     def reads_depth(self) -> bool:
-        """Return whether the method learns from depth maps; otherwise none are read."""
+        """Return whether the method learns from depth maps; if not, no depth maps are read."""
         ...
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
@@ -92,10 +92,10 @@ class MovableMethod(TrainableMethod, Protocol):
 
 
 class CoverRenderableModel(RenderableModel, Protocol):
-    """A model that also states what covers each pixel before some depths: the capability `renders_covers`."""
+    """A model that also renders what covers each pixel before given depths: the capability `renders_covers`."""
 
     def render_covers(self, viewpoint: Viewpoint, limit_m: Float32) -> tuple[Rendering, Tensor]:
-        """Render as `render` does, with the share (H, W) of each pixel that Gaussians before a depth cover.
+        """Render as `render` does, and return the share (H, W) of each pixel that Gaussians nearer than a depth cover.
 
         Args:
             viewpoint: the camera, with a training source.

@@ -31,7 +31,7 @@ class TrainingImage:
     name: str = ""
 
     def to(self, device: torch.device) -> TrainingImage:
-        """Return the image on a device; the camera stays on the CPU, and the copy to a GPU does not wait."""
+        """Return the image on a device; the camera stays on the CPU, and the copy to a GPU is asynchronous."""
         if device.type == "cpu":
             return self
         names = ("rgb", "scored", "sky", "depth_m")

@@ -70,7 +70,7 @@ class Viewpoint:
         return np.array((*matrix[:3, :3].ravel(), *matrix[:3, 3], NEAREST_M, *slopes, *lengths), np.float32)
 
     def on(self, device: torch.device) -> tuple[Tensor, Tensor]:
-        """Return `viewmat` and `K` on a device; the copy to a GPU does not wait."""
+        """Return `viewmat` and `K` on a device; the copy to a GPU is asynchronous."""
         return self.viewmat.to(device, non_blocking=True), self.K.to(device, non_blocking=True)
 
     def with_source(self, source: Source) -> Viewpoint:

@@ -33,7 +33,7 @@ _DIVERGED: Final = "check the poses, masks and depth of the images; the last che
 
 @dataclass(frozen=True)
 class Options:
-    """Options of a run that do not change its result, except that previews bring the rows of a street up to date.
+    """Options of a run that do not change its result, except that previews bring a street's rows up to date.
 
     Attributes:
         checkpoint_s: a checkpoint is written at the first step after this many seconds.

@@ -20,7 +20,7 @@ MAX_IMAGES: Final = 200
 
 
 def mean_colour(images: Sequence[Image]) -> Float64:
-    """Return the mean colour (3,), RGB, 0 to 255, of images, at most `MAX_IMAGES` of them.
+    """Return the mean colour (3,), RGB, 0 to 255, of at most `MAX_IMAGES` images.
 
     It is the mean of 8-bit sRGB values, not of light, because PSNR is computed from the squared error of these values.
 

@@ -78,7 +78,7 @@ class AffineAppearance(AppearanceModel):
         return FinishedImage(mapped, mapped)
 
     def losses(self, alpha: Tensor, image: TrainingImage) -> dict[str, tuple[float, Tensor]]:
-        """Compute the cross entropy between alpha and pixels that are not sky, where there are masks of the sky."""
+        """Compute the cross entropy between alpha and the mask of non-sky pixels, where sky masks exist."""
         if image.sky is None or not self.settings.opacity_weight:
             return {}
         solid = (~image.sky).to(alpha.dtype)

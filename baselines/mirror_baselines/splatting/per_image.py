@@ -60,7 +60,7 @@ class PerImageTable(nn.Module):
         self.keys = nn.Parameter(torch.cat([self.keys, key[None]]), requires_grad=False)
 
     def update(self, viewpoint: Viewpoint) -> None:
-        """Take a step on the row of an image."""
+        """Update the row of an image by its gradient."""
         row = self.row(viewpoint)
         if row is not None and self.table.grad is not None:
             self.adam.update(torch.tensor([row]), self.table.grad[row][None])

@@ -15,7 +15,7 @@ _BETA1, _BETA2 = 0.9, 0.999
 
 
 class RowAdam(Optimizer):
-    """Adam for one table (N, ...); rows that a step does not use keep their moments and do not move.
+    """Adam for one table (N, ...); rows that a step does not use keep their moments and values.
 
     `update` takes a step; `step` does not, because it would need gradients of the complete table. The state has the
     names of torch's Adam, so that gsplat's strategies can add and remove rows.
@@ -29,7 +29,7 @@ class RowAdam(Optimizer):
 
     @torch.no_grad()
     def update(self, rows: Tensor, gradients: Tensor, first: int = 0, count: int | None = None) -> None:
-        """Take a step on some rows; the columns of a row are counted in memory order.
+        """Update some rows; the columns of a row are counted in memory order.
 
         Args:
             rows: (M,) int64, without repetition.

@@ -220,7 +220,7 @@ class Adjuster:
         return np.concatenate([frames.ravel(), np.concatenate([turned, moved, state.lenses], axis=1).ravel()])
 
     def rays(self, tracks: FeatureTracks) -> tuple[Float64, Float64, Float64]:
-        """Return the rays (M, 3) of features, their derivatives (M, 2, 3), and the features from the centre (M, 2).
+        """Return the rays (M, 3) of features, their derivatives (M, 2, 3), and the features about the centre (M, 2).
 
         The derivatives are those of pixels by rays.
         """
@@ -248,7 +248,7 @@ class Adjuster:
         )  # fmt: skip
 
     def is_near(self, state: RigState, tracks: FeatureTracks) -> Bool:
-        """Mark the observations (M,) of points near enough; far ones may be clouds, which move."""
+        """Mark the observations (M,) of near points; far points may be clouds, which move."""
         apart = state.points[tracks.track] - self.rigs.world_SE3_ego.translation[tracks.image]
         return np.asarray(np.linalg.norm(apart, axis=1) < FARTHEST_M, np.bool_)
 

@@ -220,7 +220,7 @@ def step_points(
     starts: Int64, image: Int64, frame: Int64, mounting: Int64, inverses: Float64, mixed: Float64, slopes: Float64,
     step: Float64, frames: int,
 ) -> Float64:  # pragma: no cover  # fmt: skip
-    """Compute the steps (T, 3) of the points from a step (N,) of the frames and mountings, which determines them."""
+    """Compute the steps (T, 3) of the points that follow from a step (N,) of the frames and mountings."""
     out = np.empty((len(inverses), 3))
     for t in range(len(inverses)):
         total = slopes[t].copy()

@@ -66,7 +66,7 @@ def find_features(image: TrackedImage, most: int) -> ImageFeatures:
 
 
 def match_features(one: ImageFeatures, other: ImageFeatures) -> Int64:
-    """Return the pairs (M, 2) of features that are each other's nearest and clearly nearer than the second nearest."""
+    """Return the pairs (M, 2) of mutually nearest features that are clearly nearer than the second nearest."""
     if len(one) < 2 or len(other) < 2:
         return np.zeros((0, 2), np.int64)
     first_units, second_units = one.unit_descriptors(), other.unit_descriptors()

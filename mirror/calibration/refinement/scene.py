@@ -58,7 +58,7 @@ class TraversalImages:
 
 
 def open_traversal(view: Dataset, choice: FrameChoice) -> TraversalImages:
-    """Choose the frames of a view of one traversal; an error is kept as its problem."""
+    """Choose the frames of a view of one traversal; an error is kept as the traversal's problem."""
     (row,) = view.table("traversals", ["traversal_id", "vehicle_id", "drive_id", "rig_id"]).to_pylist()
     reference = None
     if row["rig_id"] is not None:
@@ -116,7 +116,7 @@ def _read_features(file: Path) -> ImageFeatures:
 
 @dataclass(frozen=True, eq=False)
 class SceneRigs:
-    """The rigs of a scene, and which camera each mounting is.
+    """The rigs of a scene, and the camera of each mounting.
 
     Attributes:
         rigs: the recorded rigs.

@@ -25,7 +25,7 @@ _TEXT: Final = (b"<", b"{", b"[")
 
 
 def contents(data: bytes, depth: int = _DEPTH) -> Iterator[tuple[str, bytes]]:
-    """Yield the parts of a file, such as members and cells: their place in words, and their bytes.
+    """Yield the parts of a file, such as members and cells: a description of each place, and its bytes.
 
     A file is opened by its first bytes, whatever its name says.
 

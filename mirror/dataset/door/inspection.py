@@ -69,7 +69,7 @@ class Inspection:
 
 
 def read_below(root: Path) -> Callable[[str], bytes]:
-    """Return a function that reads files below a folder, which no link may lead out of."""
+    """Return a function that reads files below a folder and follows no link out of it."""
     return lambda name: require_inside(root, name).read_bytes()
 
 

@@ -54,7 +54,7 @@ def split_planes(pixels: UInt8, planes: UInt8) -> None:
 
 
 def run_jobs(jobs: Sequence[Callable[[], None]], costs: Sequence[int], threads: int | None = None) -> None:
-    """Run jobs on the cores of this process, the most expensive first, so that all threads end at about the same time.
+    """Run jobs on the cores of this process, the most expensive first, so that all threads end at about one time.
 
     Args:
         jobs: functions to call; the first error is raised when all jobs have ended.

@@ -78,7 +78,7 @@ class JpegFrame:
         return cls(marker == 0xC2, width, height, components)
 
     def blocks_of(self, component: Component) -> int:
-        """Return the number of blocks of a component in a scan of its own."""
+        """Return the number of blocks of a component in a scan that holds it alone."""
         most_h = max(one.horizontal for one in self.components)
         most_v = max(one.vertical for one in self.components)
         wide = -(-self.width * component.horizontal // most_h)
@@ -92,7 +92,7 @@ class JpegFrame:
         return -(-self.width // (8 * most_h)) * -(-self.height // (8 * most_v))
 
     def is_complete(self) -> bool:
-        """Return whether scans have given every bit of every coefficient: the image ends here."""
+        """Return whether the scans so far give every bit of every coefficient, so that the image is complete."""
         return all((one.bits == 0).all() for one in self.components)
 
 

@@ -104,7 +104,7 @@ def states_orientation(data: bytes) -> bool:
 
 
 def segments(data: bytes, file: str | PurePath) -> Iterator[Segment]:
-    """Yield the parts of a JPEG after its first two bytes, up to its first end marker.
+    """Yield the segments of a JPEG after its first two bytes, up to its first end marker.
 
     Raises:
         DatasetError: it is no JPEG, or it ends before its end marker.

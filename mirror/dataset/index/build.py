@@ -52,7 +52,7 @@ class IndexReport:
 def build_index(
     root: str | Path, *, force: bool = False, check_sizes: bool = False, progress: Progress | None = None
 ) -> IndexReport:
-    """Derive the index tables, and keep those that are current.
+    """Derive the index tables that are not current, and keep the others.
 
     The bytes are a pure function of the rest of the dataset and do not depend on the order of ingest. The caller holds
     the dataset's writer lock.

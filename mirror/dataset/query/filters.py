@@ -165,7 +165,7 @@ class Filters:
     withheld: frozenset[bool] | None = None
 
     def combined_with(self, other: Filters) -> Filters:
-        """Return the restrictions that require both these and others."""
+        """Return filters that require both these restrictions and others."""
         changes: dict[str, object] = {"within": self.within + other.within}
         for field in fields(self):
             ours, theirs = getattr(self, field.name), getattr(other, field.name)

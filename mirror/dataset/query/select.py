@@ -65,7 +65,7 @@ def read_rows(catalog: Catalog, filters: Filters, name: str, columns: Sequence[s
 
 
 def count_rows(catalog: Catalog, filters: Filters, name: str) -> int:
-    """Count the rows of a table that pass. Row groups that pass as a whole are not read."""
+    """Count the rows of a table that pass; row groups that pass as a whole are not read."""
     if name in GLOBAL:
         return int(_global_mask(catalog, filters, name).sum())
     return sum(part.rows for part in select_parts(catalog, filters, name))

@@ -75,11 +75,11 @@ class AnnotationScorer:
         return "unused"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """Return nothing: no metric has weights."""
+        """Return no names: no metric has weights."""
         return {}
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """Return nothing: every metric is available."""
+        """Return no metrics: every metric is available."""
         return {}
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:

@@ -48,7 +48,7 @@ class EditingScorer:
         return {}
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """Return nothing: every metric is available."""
+        """Return no metrics: every metric is available."""
         return {}
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:

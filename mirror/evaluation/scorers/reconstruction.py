@@ -40,7 +40,7 @@ class ReconstructionScorer:
         return weights
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """Return nothing: only weights can be missing."""
+        """Return no metrics: only weights can be missing."""
         return {}
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:

@@ -31,7 +31,7 @@ class RuntimeScorer:
         return "unused"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """Return nothing: no metric has weights."""
+        """Return no names: no metric has weights."""
         return {}
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:

@@ -59,7 +59,7 @@ class Scorer(Protocol):
     """Version of the scorer's values: increased when they change, so that stored values are not reused."""
 
     def hidden_use(self, plan: Plan) -> HiddenUse:
-        """Return whether the views need the organiser's hidden truth because nobody recorded theirs."""
+        """Return whether the views need the organiser's hidden truth, because their images were not recorded."""
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Return the names of the weights that each metric needs; metrics without weights may be left out.
@@ -69,7 +69,7 @@ class Scorer(Protocol):
         """
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """Return the metrics that are unavailable for other reasons than weights, each with its remedy."""
+        """Return the metrics that are unavailable for other reasons than missing weights, each with its remedy."""
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
         """Return the jobs, ordered so that neighbours read the same files."""

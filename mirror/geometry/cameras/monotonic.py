@@ -72,7 +72,7 @@ class InverseTable:
         self._slope = np.append(np.diff(self._start), 0.0)
 
     def quick(self, value: AnyArray) -> AnyArray:
-        """Return the arguments whose function values are near ``value``, where that is within the reach."""
+        """Return the arguments whose function values are near ``value``, where this fast search reaches them."""
         position = np.minimum(value * self._cells_per_value, _CELLS)
         cell = position.astype(np.intp)
         position -= cell
@@ -81,5 +81,5 @@ class InverseTable:
         return np.asarray(position)
 
     def careful(self, value: AnyArray) -> AnyArray:
-        """Return the arguments whose function values are near ``value``, however steep or far; 30 times as slow."""
+        """Return the arguments whose function values are near ``value``, for any slope; 30 times as slow as `quick`."""
         return np.asarray(np.interp(value, self._value, self._argument))

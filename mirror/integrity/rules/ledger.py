@@ -194,7 +194,7 @@ def _path_again(view: SceneView) -> Iterator[Finding]:
 
 
 def counted_path(x: Float64, y: Float64, least: Float64) -> float:
-    """Return the length of a line of the points that count.
+    """Return the length of the line through the points that count.
 
     A point counts once it lies at least so far from the last one that counted.
 

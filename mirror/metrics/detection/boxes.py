@@ -145,7 +145,7 @@ def in_range(boxes: DetectionBoxes, ego_xy_m: Numbers, config: DetectionConfig) 
 
 
 def category_codes(boxes: DetectionBoxes, config: DetectionConfig) -> AnyArray:
-    """Return each box's place (N,) among the classes.
+    """Return each box's index (N,) among the classes.
 
     Raises:
         UsageError: a category is not among them; its row is named.

@@ -135,7 +135,7 @@ def lpips_trunk(net: LpipsNet) -> Trunk:
 
 
 def lpips_heads(state: Mapping[str, Tensor], taps: int) -> list[Tensor]:
-    """Return the weights of the taps' channels from ``lin0.model.1.weight`` and so on.
+    """Return the weights of the taps' channels from tensors such as ``lin0.model.1.weight``.
 
     Raises:
         WeightsUnavailableError: one is missing or left over.

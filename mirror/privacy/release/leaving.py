@@ -16,7 +16,7 @@ from mirror.progress import ProgressReporter
 
 
 def leaving_originals(source: Layout, folders: list[Path], progress: ProgressReporter) -> Iterator[Leak]:
-    """Yield the files, also members of archives and data of pages, that show a recorded image as it was.
+    """Yield the files, including archive members and data in pages, that show a recorded image in its original form.
 
     Recorded images of a traversal that has a redaction layer must not leave, unless the redaction changed nothing.
 

@@ -194,7 +194,7 @@ class NcoreRecording:
         return RigInfo(to_identifier("ncore_" + "_".join(sorted(names.values()))), cameras, reference)
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """Return the stores; of a folder its metadata and its arrays."""
+        """Return the stores; for a store that is a folder, its metadata and arrays."""
         return sorted(self._listed[1])
 
     def track(self) -> Track:

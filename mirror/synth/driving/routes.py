@@ -99,7 +99,7 @@ class Streets:
         return sorted(paths, key=lambda path: (-round(path.inside_m(self.radius_m)), path.lane_ids))
 
     def turning(self, sign: float) -> list[Path]:
-        """Return paths that turn off the main street once, left (1) or right (-1), those deepest in the ROI first."""
+        """Return paths that turn off the main street once, left (1) or right (-1), deepest in the ROI first."""
         starts = {path.lane_ids[0] for path in self.along}
         paths = [
             path

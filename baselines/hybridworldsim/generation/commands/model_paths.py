@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def find_model_files(generator: Path, autoencoder: Path | None) -> tuple[Path, Path]:
-    """Return the files of a generator and its autoencoder, from a folder of `mirror generate train` or from files.
+    """Return the files of a generator and its autoencoder, given as files or as a folder of `mirror generate train`.
 
     Args:
         generator: the folder, or ``model.safetensors`` of a generator.

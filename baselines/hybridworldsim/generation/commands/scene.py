@@ -247,7 +247,7 @@ def _size(text: str | None, base: ReleasedModel | None) -> tuple[int, int]:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Read a size WIDTHxHEIGHT in pixels; returns height and width.
+    """Parse a size WIDTHxHEIGHT in pixels; returns height and width.
 
     Raises:
         UsageError: the text has another form.

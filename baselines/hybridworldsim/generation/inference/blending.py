@@ -11,7 +11,7 @@ from mirror.arrays import Bool, Float32, Float64, UInt8
 
 
 def draw_hulls(boxes: ClipBoxes, intrinsics: Float64, ego_SE3_camera: Float64, size_px: tuple[int, int]) -> Bool:
-    """Mark the pixels (V, H, W) that show the inside of some box.
+    """Mark the pixels (V, H, W) that show the inside of at least one box.
 
     Args:
         boxes: boxes of one frame.

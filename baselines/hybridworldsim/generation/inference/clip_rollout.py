@@ -137,12 +137,12 @@ def roll_out_clip(
 
 
 def views_with_boxes(clip: Clip, frame: int) -> Bool:
-    """Mark the views (V,) of a frame that show some box."""
+    """Mark the views (V,) of a frame that show at least one box."""
     return np.asarray(clip_hulls(clip, frame).any(axis=(1, 2)))
 
 
 def clip_hulls(clip: Clip, frame: int) -> Bool:
-    """Mark the pixels (V, H, W) of a frame that show the inside of some box."""
+    """Mark the pixels (H, W) of each view of a frame that show the inside of at least one box."""
     return draw_hulls(clip.boxes.at(frame), clip.intrinsics, clip.cameras_at(frame), clip.size_px)
 
 

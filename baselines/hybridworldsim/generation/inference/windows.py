@@ -90,7 +90,7 @@ def join_conditions(
 
 
 def without_layout(conditions: Conditions, value: float = 0.0) -> Conditions:
-    """Return the conditions of a window without boxes and lanes, as `drop_layout` of training has them.
+    """Return the conditions of a window without boxes and lanes, as training with `drop_layout` uses them.
 
     Args:
         conditions: of the window.

@@ -54,7 +54,7 @@ def draw_layout(
 
 
 def takes_map(config: TransformerConfig, style: BoxStyle) -> bool:
-    """Return whether a network is shown a map: in each frame its layout has the channels of boxes and three more."""
+    """Return whether a network takes a map: its layout then has three channels per frame besides the boxes'."""
     channels = config.layout_frames * (style.channels + MAP_CHANNELS)
     return config.layout is not None and config.layout.channels == channels
 

@@ -66,7 +66,7 @@ class Conditions:
         return replace(self, **chosen_tensors, view_index=index[chosen])
 
     def to(self, *args: Any) -> Conditions:
-        """Move or convert all floating point tensors, and move the others, as `torch.Tensor.to` does."""
+        """Convert all floating point tensors and move all tensors, as `torch.Tensor.to` does."""
         moved: dict[str, Any] = {}
         for field in fields(self):
             tensor = getattr(self, field.name)
@@ -89,7 +89,7 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class PreparedConditions:
-    """Conditions after the parts of the network that do not depend on the latents: computed once, used in every step.
+    """Conditions processed by the network's parts that ignore the latents: computed once, used in every step.
 
     Attributes:
         shape: B, T and V.
@@ -129,7 +129,7 @@ class PreparedConditions:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceCache:
-    """Keys and values of reference frames in all temporal blocks, for the steps of the frames that follow them.
+    """Keys and values of reference frames in all temporal blocks, for the steps of later frames.
 
     Attributes:
         frames: number of reference frames.

@@ -141,7 +141,7 @@ class TransformerConfig:
 
     @property
     def layout_frames(self) -> int:
-        """Frames whose layouts one input holds, as channels: the target, and the T references if they are channels."""
+        """Number of frames whose layouts one input holds as channels: the target, and the T references if set so."""
         return 1 + self.reference_channels // self.latent_channels
 
     def takes_size(self, size_px: tuple[int, int]) -> bool:

@@ -73,7 +73,7 @@ class MixingBlock(nn.Module):
         self.attn1 = MixingAttention(width, heads, norm=norm)
 
     def enter(self, tokens: Tensor) -> tuple[Tensor, Tensor, KeysValues]:
-        """Compute the part before the attention.
+        """Compute the layers before the attention.
 
         Args:
             tokens: (N, L, width).

@@ -113,7 +113,7 @@ class Transformer(nn.Module):
         return adapter(images.flatten(0, 2))
 
     def prepare(self, conditions: Conditions, features: list[Tensor] | None = None) -> PreparedConditions:
-        """Compute the part of a frame that does not depend on the step.
+        """Compute what the network derives from a frame independently of the sampling step.
 
         Args:
             conditions: of B sequences of T frames of V views.

@@ -11,7 +11,7 @@ from mirror.errors import DatasetError
 
 
 def busy_share(tracks: AnyArray, least_share: float) -> float:
-    """Return the share of frames of masks (F, V, H, W) in which one road user covers a share of some view."""
+    """Return the share of frames of masks (F, V, H, W) in which one road user fills a given share of a view."""
     least = least_share * tracks.shape[-1] * tracks.shape[-2]
     return float(np.mean([any(max(_pixels_of(view).values(), default=0) >= least for view in one) for one in tracks]))
 

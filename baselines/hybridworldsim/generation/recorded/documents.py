@@ -129,7 +129,7 @@ class ClipStatistics(Document):
 
 
 def join_counts(parts: Sequence[ClipCounts]) -> ClipCounts:
-    """Return the counts of several sets of clips together; shares are weighted by frames."""
+    """Return the counts of several sets of clips together; shares are averaged with weights by frames."""
     frames = sum(one.frames for one in parts)
 
     def mean(name: str) -> float:

@@ -75,7 +75,7 @@ def draw_levels(shape: tuple[int, ...], generator: torch.Generator) -> Tensor:
 
 
 def noise_levels(steps: int, shift: float = 1.0) -> list[float]:
-    """Return the levels that a sampler visits, shifted towards noise once.
+    """Return the noise levels that a sampler visits, with the shift towards noise already applied.
 
     Args:
         steps: number of steps.

@@ -21,7 +21,7 @@ _RATE_TOLERANCE: Final = 1.05
 
 @dataclass(frozen=True, eq=False)
 class ScenePlan:
-    """The frames of a traversal at a rate; the first T of them seed the rollout and are not generated.
+    """The frames of a traversal at a rate; the first T frames seed the rollout and are not generated.
 
     Attributes:
         frames: seeds first.

@@ -69,7 +69,7 @@ class SceneRig:
         return self.unscaled_lenses[row].resized(width, height)
 
     def view_lens(self, row: int) -> Camera:
-        """Return the lens of a camera's background: twice the raster of the generator, at most the recorded one."""
+        """Return the lens of a camera's background, at twice the generator's raster, limited to the recorded raster."""
         full, (height, width) = self.unscaled_lenses[row], self.size_px
         return full.resized(min(full.width_px, 2 * width), min(full.height_px, 2 * height))
 

@@ -41,7 +41,7 @@ class AutoencoderSettings:
 
 
 class ImageRows(Protocol):
-    """N images (H, W, 3): an array, or images that are read when they are asked for."""
+    """A sequence of N images (H, W, 3): an array, or images that are read on access."""
 
     def __len__(self) -> int: ...
 

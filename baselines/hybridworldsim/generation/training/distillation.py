@@ -56,7 +56,7 @@ class DistillationSettings:
 
 
 def segment_end(level: Tensor, segments: int) -> Tensor:
-    """Return the lower end of the segment of each level; the upper end of a segment belongs to it."""
+    """Return the lower end of the segment that contains each level; a segment includes its upper end."""
     return (torch.ceil(level * segments - 1e-6) - 1.0) / segments
 
 

@@ -199,7 +199,7 @@ class ClipWindows:
         return join_conditions(self._config, singles)
 
     def history(self, number: int) -> ClipWindow:
-        """Return the frames before the target of a window: up to 2 T of them, as many as its clip has; at least T."""
+        """Return the frames before the target of a window: at least T, at most 2 T, as many as the clip has."""
         row, frame = self._place(number)
         frames = range(max(frame - 2 * self._references, 0), frame)
         span = slice(frames.start, frames.stop)

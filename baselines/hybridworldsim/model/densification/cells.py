@@ -35,7 +35,7 @@ def best_per_cell(keys: Tensor, scores: Tensor) -> Tensor:
 def grow_anchors(
     points: Tensor, scores: Tensor, min_size_m: Tensor, occupied: Tensor, sizes_m: tuple[float, ...], free_count: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Choose places for new anchors: at the points with the highest scores in empty cells, coarse cells first.
+    """Choose places for new anchors: points with the highest scores in empty cells, coarse cells first.
 
     Each cell size gets an equal share of the free count; what it does not use goes to the next size.
 

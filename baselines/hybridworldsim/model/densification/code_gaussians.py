@@ -43,7 +43,7 @@ class CodeRefiner:
 
     @torch.no_grad()
     def refine(self, refinement_number: int) -> None:
-        """Remove transparent Gaussians, and split those with the largest gradients in two along their longest axis.
+        """Remove transparent Gaussians, and split the ones with the largest gradients in two along their longest axis.
 
         Args:
             refinement_number: number of this refinement, from 1.

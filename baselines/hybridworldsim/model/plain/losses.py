@@ -29,7 +29,7 @@ def compute_normals(depth_m: Tensor, K: Tensor) -> Tensor:
 
 
 def curvature(normals: Tensor) -> Tensor:
-    """Compute the curvature (H - 2, W - 2) of normals (H, W, 3).
+    """Compute the curvature (H - 2, W - 2) of a map of normals (H, W, 3).
 
     It is the sum of squared Sobel gradients over channels and directions.
     """

@@ -67,7 +67,7 @@ def make_source_image(
 
 
 def to_network_input(image: StereoImage, stride: int) -> Tensor:
-    """Convert to RGB (3, H, W) from 0 to 1; pad the sides to multiples of the stride with the last row and column."""
+    """Convert to RGB (3, H, W) from 0 to 1, padded to multiples of the stride with the last row and column."""
     rgb = torch.from_numpy(np.ascontiguousarray(image.rgb)).permute(2, 0, 1).float().div_(255.0)
     height, width = image.rgb.shape[:2]
     bottom, right = -height % stride, -width % stride
@@ -75,7 +75,7 @@ def to_network_input(image: StereoImage, stride: int) -> Tensor:
 
 
 def downsample_hidden(image: StereoImage, stride: int, rows: int, columns: int) -> Tensor | None:
-    """Mark samples that contain an invalid pixel: (rows, columns), 1 if so, else 0. None if all pixels are valid."""
+    """Mark samples (rows, columns) that contain an invalid pixel: 1 if so, else 0; None if all pixels are valid."""
     if image.valid.all():
         return None
     hidden = torch.from_numpy(~image.valid).float()

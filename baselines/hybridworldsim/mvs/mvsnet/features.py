@@ -10,7 +10,7 @@ CHANNELS = 32
 
 
 class FeatureNet(nn.Module):
-    """Eight convolutions; two of them halve the sides."""
+    """Eight convolutions, of which two halve the sides."""
 
     def __init__(self) -> None:
         super().__init__()

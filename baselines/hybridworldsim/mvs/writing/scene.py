@@ -158,7 +158,7 @@ class SceneInitialisation:
         return PointCloud.concatenate(parts), PixelCounts(known, static)
 
     def triangulate(self) -> dict[str, PointCloud]:
-        """Triangulate sparse points; each belongs to the traversal of the first image that shows it."""
+        """Triangulate sparse points; each belongs to the traversal of the first image that shows the point."""
         self._progress.start("sparse points", 1)
         sources = [candidates[: self._options.sources] for candidates in self._sources]
         points = triangulate(self._stereo_images.__getitem__, sources)

@@ -84,7 +84,7 @@ def image_statistics(images: UInt8) -> Float64:
 
 
 def fit_inputs(images: UInt8, model_sha256: str, trained_on: str) -> FamiliarInputs:
-    """Learn the distribution of training images (N, H, W, 3), as they are and after JPEG compression."""
+    """Learn the distribution of training images (N, H, W, 3), both original and after JPEG compression."""
     again = [_compress(image, quality) for quality in _QUALITIES for image in images]
     values = image_statistics(np.concatenate([images, np.stack(again)]))
     share, least = _FLOOR

@@ -45,7 +45,7 @@ _TABLE: Final = _compute_polynomials()
 
 
 def spherical_harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None = None) -> Tensor:
-    """Sum spherical harmonics; differentiable to directions and coefficients.
+    """Sum spherical harmonics, differentiable with respect to directions and coefficients.
 
     Args:
         degree: highest degree of the sum, 0 to 4.

@@ -31,7 +31,7 @@ _IMPLAUSIBLE: Final = 1e6
 
 @dataclass(frozen=True)
 class AttackPlan:
-    """The begin of an attack, and the limits of its manoeuvre.
+    """The beginning of an attack, and the limits of its manoeuvre.
 
     Attributes:
         trigger_ttc_s: time to collision at which it begins.

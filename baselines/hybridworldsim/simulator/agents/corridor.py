@@ -122,7 +122,7 @@ def follow(
     ordered_mps2: Float64,
     step_s: float,
 ) -> Float64:
-    """Advance all users of ways by a step; each reads the boxes of the same instant, so that their order is irrelevant.
+    """Advance all users of ways by a step; all read the boxes of the same instant, so their order is irrelevant.
 
     Args:
         ways: the ways.

@@ -21,7 +21,7 @@ _FILE: Final = "messages.binpb"
 
 
 class Messages:
-    """The classes of the messages, as attributes; nested messages and values of enumerations are attributes of these.
+    """The message classes, as attributes; nested messages and enumeration values are attributes of the classes.
 
     Attributes:
         classes: the classes by name.

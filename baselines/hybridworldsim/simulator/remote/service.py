@@ -96,7 +96,7 @@ class SensorService:
         return self._messages.AvailableScenesReturn(scene_ids=sorted(self._scenes))
 
     def list_cameras(self, request: Any) -> Any:
-        """Return the cameras of a scene's rig, as they are calibrated.
+        """Return the calibrated cameras of a scene's rig.
 
         Raises:
             UnknownSceneError: there is no such scene.

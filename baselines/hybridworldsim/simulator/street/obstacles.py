@@ -33,7 +33,7 @@ def corners_of(box: Float64) -> Float64:
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """The buildings and walls of a synthetic street, seen from above: no agent starts there.
+    """The buildings and walls of a synthetic street, seen from above, in which no agent may start.
 
     Attributes:
         street: the street.

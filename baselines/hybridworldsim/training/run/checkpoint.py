@@ -32,7 +32,7 @@ def write_checkpoint(path: Path, state: Mapping[str, Tensor], position: Position
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], Position]:
-    """Read the state of a trainer and its position.
+    """Read the state of a trainer and its progress.
 
     Raises:
         DatasetError: the file is broken or is not a checkpoint.

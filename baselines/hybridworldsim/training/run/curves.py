@@ -15,7 +15,7 @@ Row: TypeAlias = Mapping[str, float]
 
 
 def write_curves(path: Path, rows: Sequence[Row]) -> None:
-    """Write all rows, replacing the file; there are a few dozen."""
+    """Write all rows of the learning curves, replacing the file."""
     columns = list(dict.fromkeys(name for row in rows for name in row))
     sink = io.StringIO()
     writer = csv.DictWriter(sink, columns, restval="", lineterminator="\n")

@@ -36,7 +36,7 @@ def describe_computation(device: str, precision: str = "float32", *, splats: boo
 
 
 def begin_run(path: Path, run: Document, *, finished: bool, untrained: bool) -> None:
-    """Write a run's document, or require that it equals the earlier one, unless the earlier run learned nothing.
+    """Write a run's document, or require that it equals an earlier run's, unless that run learned nothing.
 
     Args:
         path: folder of the run.

@@ -45,7 +45,7 @@ class RunFolder(Generic[OutcomeT]):
 
     @property
     def outcome(self) -> OutcomeT | None:
-        """The result of the run; None while it is not finished."""
+        """The result of the run; None until it is finished."""
         path = self.path / OUTCOME
         return read_json(path, self._outcome) if path.exists() else None
 
@@ -71,7 +71,7 @@ class RunFolder(Generic[OutcomeT]):
             return self._begin(run)
 
     def require_same(self, kind: type[Document], stated: Mapping[str, Any]) -> None:
-        """Require that an earlier run, if it has learned something, has the same values; used before data is read.
+        """Require that an earlier run, if it learned something, has the same values; called before data is read.
 
         Args:
             kind: type of the run's document.
@@ -85,7 +85,7 @@ class RunFolder(Generic[OutcomeT]):
 
     @contextmanager
     def claim(self, run: Document) -> Iterator[None]:
-        """Replace, under the `lock`, the document of another run that had learned nothing.
+        """Replace, under the `lock`, the document of another run if that run learned nothing.
 
         The lock ends with its process, even if the process is killed.
 

@@ -13,7 +13,7 @@ from mirror.stops import finishing
 
 @contextmanager
 def interruptible() -> Iterator[threading.Event]:
-    """Catch Ctrl-C between steps, because the state within a step cannot be saved; the second interrupts at once.
+    """Defer Ctrl-C to the end of a step, as the state within a step cannot be saved; a second one interrupts at once.
 
     Yields:
         An event that is set after the first Ctrl-C.

@@ -50,7 +50,7 @@ class Processes:
 
     @contextmanager
     def leader_first(self) -> Iterator[None]:
-        """Run the block in the leading process first, then in the others; each waits for the other part.
+        """Run the block first in the leading process, then in the others, which wait for it.
 
         Raises:
             DatasetError: the leading process failed or was interrupted, in the others.

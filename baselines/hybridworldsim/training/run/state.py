@@ -30,7 +30,7 @@ def dump(module: nn.Module, optimizer: Optimizer) -> dict[str, Tensor]:
 
 
 def load(module: nn.Module, state: Mapping[str, Tensor], optimizer: Optimizer | None = None) -> None:
-    """Set a module's parameters and its optimiser's moments; their numbers of rows may differ from the present ones.
+    """Set a module's parameters and its optimiser's moments; the numbers of rows may change.
 
     Args:
         module: a module of the same kind as the dumped one.

@@ -90,7 +90,7 @@ def place_in_tile(
 
 @kernel(inline="always")
 def group_by_block(block_bits: Int32, gaussian_bits: AnyArray) -> None:
-    """Transpose bits: from the blocks of each Gaussian to the Gaussians of each block."""
+    """Transpose bits: from a mask of blocks for each Gaussian to a mask of Gaussians for each block."""
     for block in range(BLOCKS):
         word, bit = np.uint64(0), np.int32(1 << block)
         for group in range(BATCH // LANES):

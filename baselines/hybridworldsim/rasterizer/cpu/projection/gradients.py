@@ -45,7 +45,7 @@ def select_rows(ids: Any, start: Any, end: Any, rows: Any) -> None:
 
 @kernel(inline="always")
 def load_upstream(upstream: Any, strides: Any, rows: Any, lanes_in_use: Any) -> Any:
-    """Load gradients to mean (x, y), depth, conic (xx, xy, yy) and compensation; zero for spare lanes."""
+    """Load gradients with respect to mean, depth, conic and compensation; spare lanes get zeros."""
     grad_means2d, grad_depths, grad_conics, grad_compensations = upstream
     mean_stride, depth_stride, conic_stride, compensation_stride = strides
     return (
@@ -65,7 +65,7 @@ def load_upstream(upstream: Any, strides: Any, rows: Any, lanes_in_use: Any) -> 
 
 @kernel(inline="always")
 def covariance_gradient(camera: Any, shape: Any, grad_conic: Any, grad_compensation: Any) -> Any:
-    """Compute the gradient to xx, xy and yy of the 2D covariance (xy as one of two equal entries).
+    """Compute the gradient with respect to the 2D covariance's xx, xy (one of two equal entries) and yy.
 
     Args:
         camera: `KernelCamera`.
@@ -93,7 +93,7 @@ def covariance_gradient(camera: Any, shape: Any, grad_conic: Any, grad_compensat
 
 @kernel(inline="always")
 def quaternion_gradient(quaternion: Any, k: Any, first: Any, second: Any, third: Any) -> Any:
-    """Compute the gradient to a quaternion from the gradient to the rows of its rotation; k is 2 / squared norm."""
+    """Compute the gradient of a quaternion from the gradient of its rotation's rows; k is 2 / squared norm."""
     w, x, y, z = quaternion
     v01, v02, v12 = second[0] + first[1], first[2] + third[0], second[2] + third[1]
     d21, d02, d10 = third[1] - second[2], first[2] - third[0], second[0] - first[1]
@@ -110,7 +110,7 @@ def quaternion_gradient(quaternion: Any, k: Any, first: Any, second: Any, third:
 def store_gradients(
     rows: Any, count: Any, next_row: Any, buffer: Any, grad_mean: Any, grad_quat: Any, grad_scale: Any, output: Any
 ) -> Any:
-    """Write the gradients of up to eight Gaussians, and zeros for the invisible Gaussians in front of them.
+    """Write the gradients of up to eight Gaussians, and zeros for the invisible Gaussians listed before them.
 
     Args:
         rows: rows as written by `select_rows`.

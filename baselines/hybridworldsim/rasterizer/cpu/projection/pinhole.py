@@ -24,7 +24,7 @@ from hybridworldsim.rasterizer.cpu.projection.ellipses import (
 
 @kernel(inline="always")
 def jacobian(camera: Any, u: Any, v: Any, inverse_depth: Any) -> Any:
-    """Compute the two rows of d pixel / d world, and the clamped u = x/z and v = y/z at which they are taken."""
+    """Compute the two rows of d pixel / d world, and the clamped u = x/z and v = y/z used for them."""
     u = lanes.min_or_b(lanes.max_or_b(u, camera.left), camera.right)
     v = lanes.min_or_b(lanes.max_or_b(v, camera.top), camera.bottom)
     a, b = camera.fx * inverse_depth, camera.fy * inverse_depth

@@ -48,7 +48,7 @@ def project(
     antialiased: bool,
     lens: LensDistortion | None,
 ) -> ProjectedGaussians:
-    """Project Gaussians into one camera and keep those that reach its image.
+    """Project Gaussians into one camera, and keep the Gaussians that reach its image.
 
     Differentiable to means, quats, scales and viewmat. A Gaussian that cannot be projected is culled and counted, and
     its gradient is 0: its quaternion is no rotation, it is on or behind the camera plane, or its covariance is

@@ -21,6 +21,7 @@ from mirror.errors import DatasetError, ExitCode
 from mirror.geometry import Poses, matrix_from_quaternion
 from tests.builders.dataset import Builder, Pass
 from tests.calibration.corridor import LENS, NOMINAL, corridor, padded
+from tests.interruption import interrupt_before
 from tests.other_bytes import give_other_bytes
 
 CAMERAS = ("front_wide", "front_narrow", "rear")
@@ -160,21 +161,20 @@ def test_the_verb_continues_an_interrupted_run_to_the_same_bytes(
     made: Path,
     refined: tuple[Path, RefinementReport],
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     root = tmp_path / "ds"
     shutil.copytree(made, root)
     words = ["calibrate", "refine", str(root), "--frames", str(CHOICE.frames)]
 
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr("mirror.calibration.refinement.run.choose_pairs", interrupt)
+    with interrupt_before("*.npz", 20):
         assert main(words) == 130
-    assert len(list(root.glob(".refine/*/*.npz"))) == 2 * 6 * 3
-    monkeypatch.setattr("mirror.calibration.refinement.scene.find_features", None)
+    found = {path: path.stat().st_mtime_ns for path in root.glob(".refine/*/*.npz")}
+    assert 19 <= len(found) < 2 * 6 * 3
+    with interrupt_before("*.npz", 10):
+        assert main(words) == 130
+    # The features of images are not found again.
+    assert {path: path.stat().st_mtime_ns for path in found} == found
     capsys.readouterr()
     assert main(words) == 3
     text = capsys.readouterr().out

@@ -38,6 +38,7 @@ from mirror.progress import NullProgress
 from mirror.schema.files import write_json
 from mirror.schema.tables import BOXES, MASKS
 from tests.generation.clips import make_clip
+from tests.interruption import interrupt_before
 
 SIZE, CAMERAS, FRAMES = (32, 48), ("front_wide", "front_left"), 6
 REQUEST = ClipRequest(
@@ -184,22 +185,11 @@ def test_road_users_of_other_classes_are_counted_and_not_trained_on(
     assert lost > 100
 
 
-def test_an_interrupted_run_and_workers_give_the_same_clips(
-    recorded: Dataset, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_and_workers_give_the_same_clips(recorded: Dataset, made: Path, tmp_path: Path) -> None:
     request = replace(REQUEST, boxes="synth@0.1.0")
-
-    class Interrupting(NullProgress):
-        left = 2
-
-        def advance(self, steps: int) -> None:
-            self.left -= 1
-            if not self.left:
-                raise KeyboardInterrupt
-
     out = tmp_path / "clips"
-    with pytest.raises(KeyboardInterrupt):
-        make_recorded_clips(recorded, request, out, Interrupting())
+    with interrupt_before("*.npz", 2):
+        make_recorded_clips(recorded, request, out, NullProgress())
     with pytest.raises(DatasetError, match=r"no clips\.json"):
         read_list(out)
     kept = {file.name: file.stat().st_mtime_ns for file in out.glob("*.npz")}

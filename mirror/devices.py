@@ -106,21 +106,26 @@ def choose_device(requested: str, subject: str, *, takes_device: bool, splats: b
     )
 
 
-def require_memory(device: Device, needed_bytes: int, remedy: str) -> None:
+def require_memory(device: str, needed_bytes: int, remedy: str) -> None:
     """Require that a GPU has as much free memory as a computation is estimated to need; a CPU is not checked.
+
+    Args:
+        device: as torch names it.
+        needed_bytes: the estimate.
+        remedy: what to lower.
 
     Raises:
         DatasetError: it has less.
     """
-    if not device.is_cuda:
+    if device == CPU:
         return
     import torch
 
-    free, total = torch.cuda.mem_get_info(device.name)
+    free, total = torch.cuda.mem_get_info(device)
     if needed_bytes > free:
         raise DatasetError(
             f"{free / _GIB:.1f} of {total / _GIB:.1f} GiB of memory are free",
-            place=device.name, expected=f"about {needed_bytes / _GIB:.1f} GiB", remedy=remedy,
+            place=device, expected=f"about {needed_bytes / _GIB:.1f} GiB", remedy=remedy,
         )  # fmt: skip
 
 

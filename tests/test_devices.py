@@ -114,9 +114,9 @@ def test_a_gpu_needs_torch_with_a_driver(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.mark.usefixtures("gpus")
 def test_too_little_memory_is_named_with_what_to_lower() -> None:
-    gpu = resolve_device("cuda:1")
+    gpu = resolve_device("cuda:1").name
     require_memory(gpu, GIB, "a smaller --width")
-    require_memory(resolve_device("cpu"), 1 << 60, "a smaller --width")
+    require_memory("cpu", 1 << 60, "a smaller --width")
     with pytest.raises(DatasetError, match=r"cuda:1: 2\.0 of 8\.0 GiB .*--width"):
         require_memory(gpu, 6 * GIB, "a smaller --width")
 

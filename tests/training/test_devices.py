@@ -11,11 +11,20 @@ import pytest
 import torch
 
 from hybridworldsim.kernels.dispatch import plain_torch
+from hybridworldsim.model import street as street_module
+from hybridworldsim.model.appearance import AppearanceLatents
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.initialization import initial_street
 from hybridworldsim.model.losses import colour_loss
 from hybridworldsim.model.settings import Settings
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.training.block_training import psnr_db
+from hybridworldsim.training.previews import pixels
+from tests.model.streets import SOURCES
+from tests.model.streets import street as block_street
+from tests.model.streets import view as street_view
+from tests.training.shadow import DEVICE, OnShadows, rasterize_shadows, without_fused
 from tests.training.street import SETTINGS, Painted, initial, views
 
 STEPS = 200
@@ -66,3 +75,50 @@ def test_a_restored_dense_training_continues_exactly() -> None:
         first.step(IMAGES[7 * step % len(IMAGES)], step / 24)
     for (name, one), (_, other) in zip(whole.street.named_parameters(), first.street.named_parameters(), strict=True):
         assert torch.equal(one, other), name
+
+
+def test_a_street_is_trained_and_rendered_on_a_device_without_mixing_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numbers on a stand-in for a GPU; refinements included. They end as on the CPU, in plain torch with dense Adam."""
+    monkeypatch.setattr(street_module, "rasterization", rasterize_shadows)
+    monkeypatch.setattr(torch.optim, "Adam", without_fused(torch.optim.Adam))
+    settings = replace(SETTINGS, structure_weight=0.1, refinement=replace(SETTINGS.refinement, least_steps=4))
+    elsewhere = StreetTrainer(initial_street(initial(), settings), settings)
+    with OnShadows():
+        elsewhere = elsewhere.to(DEVICE)
+        for step in range(24):
+            elsewhere.step(IMAGES[7 * step % len(IMAGES)], step / 24)
+        state = {name: tensor.cpu() for name, tensor in elsewhere.state().items()}
+        elsewhere.restore(state)
+        elsewhere.step(IMAGES[0], 1.0)
+        rendered = elsewhere.render(IMAGES[0].viewpoint)
+        image = pixels(rendered.rgb)
+    assert rendered.rgb.device.type == DEVICE
+    assert {one.device.type for one in elsewhere.street.parameters()} == {DEVICE}
+    assert len(elsewhere.street.background) > 300
+    assert np.abs(image - 255.0 * IMAGES[0].rgb.numpy()).mean() < 40.0
+
+
+def test_composed_blocks_render_on_a_device_as_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two blocks that overlap, seen from between them: weights and cross-fades are on the device too."""
+    blocks = [Block((0, 0), (0.0, 0.0, 0.0), 60.0, 15.0), Block((1, 0), (45.0, 0.0, 0.0), 60.0, 15.0)]
+    seen = street_view(22.0)
+
+    def compose(device: str) -> Composition:
+        streets = (block_street(seed=4), block_street(seed=5))
+        return Composition(list(zip(blocks, streets)), device)
+
+    def select(latents: AppearanceLatents) -> tuple[torch.Tensor, torch.Tensor]:
+        return latents(SOURCES[0]), latents(SOURCES[1])
+
+    expected, counts = compose("cpu").render(seen, select)
+    monkeypatch.setattr(street_module, "rasterization", rasterize_shadows)
+    with OnShadows():
+        # The inference mode of torch knows no stand-ins.
+        elsewhere = compose(DEVICE)
+        with torch.no_grad():
+            decoded = Composition.decode.__wrapped__(elsewhere, seen, select)
+            found = Composition.draw.__wrapped__(elsewhere, seen, decoded)
+        rgb = found.rgb.cpu()
+    assert found.rgb.device.type == DEVICE and counts["blocks"] == 2
+    assert sum(map(len, decoded.splats)) == counts["drawn"]
+    torch.testing.assert_close(rgb, expected.rgb, rtol=1e-4, atol=1e-4)

@@ -40,6 +40,12 @@ def estimate_bytes(sizes: TableSizes, width_px: int, height_px: int) -> int:
     return tables + _PER_GAUSSIAN * sizes.gaussians + _PER_PIXEL * width_px * height_px + CACHE_BYTES + _LIBRARIES
 
 
+def estimate_task_bytes(sizes: TableSizes, task: ReconstructionTask) -> int:
+    """Estimate the bytes of memory that the training of a block of a task takes at most; images are square at most."""
+    width_px = task.protocol.pixels.max_width_px or _STEP_WIDTH_PX
+    return estimate_bytes(sizes, width_px, width_px)
+
+
 def describe_costs(sizes: TableSizes, task: ReconstructionTask) -> str:
     """Describe the estimated memory and time of the training of a block.
 
@@ -48,8 +54,7 @@ def describe_costs(sizes: TableSizes, task: ReconstructionTask) -> str:
         task: the task, with its width, budget and device.
     """
     width_px = task.protocol.pixels.max_width_px or _STEP_WIDTH_PX
-    needed = estimate_bytes(sizes, width_px, width_px)
-    memory = f"estimated for each block: at most {needed / 1e9:.1f} GB of memory"
+    memory = f"estimated for each block: at most {estimate_task_bytes(sizes, task) / 1e9:.1f} GB of memory"
     if task.core_minutes is not None:
         return f"{memory}, {task.core_minutes:g} core-minutes"
     if task.device != CPU or task.steps is None:

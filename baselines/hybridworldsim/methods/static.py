@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hybridworldsim.methods.estimates import TableSizes, describe_costs
+from hybridworldsim.methods.estimates import TableSizes, describe_costs, estimate_task_bytes
 from hybridworldsim.methods.overrides import override_settings, settings_document
 from hybridworldsim.methods.renderers import BlockRenderer, one_point, open_block, render_nearest, training_sources
 from hybridworldsim.methods.scene_preparation import BlockTraining, PreparedScene, prepare_scene, source_pairs
@@ -30,7 +30,7 @@ from hybridworldsim.training.run.document import RUN, describe_computation
 from hybridworldsim.training.run.exhaustion import STREET_REMEDY, exhausted_memory_named
 from hybridworldsim.training.run.folder import RunFolder
 from mirror.dataset.dataset import Dataset
-from mirror.devices import CPU, OPTION
+from mirror.devices import CPU, OPTION, require_memory
 from mirror.errors import DatasetError, UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.capabilities import Capabilities, find_capabilities
@@ -88,6 +88,7 @@ class StaticMethod:
             RunFolder(run.parent, TrainingOutcome).require_same(Run, self._stated(task))
         if self.sizes is not None:
             reporter.message(describe_costs(self.sizes(settings), task))
+            require_memory(task.device, estimate_task_bytes(self.sizes(settings), task), STREET_REMEDY)
         scene = prepare_scene(dataset, task, self.block_m, reporter)
         if not (out / DOCUMENT).exists():
             write_json(out / DOCUMENT, document)

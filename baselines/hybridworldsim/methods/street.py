@@ -45,6 +45,8 @@ ALL: Final = Capabilities(
     renders_covers=True,
     opens_interactively=True,
     exports_ply=True,
+    takes_device=True,
+    rasterizes=True,
 )
 
 

@@ -96,7 +96,7 @@ class DenseAdam:
 
     def _set_moments(self, name: str, first: Tensor, second: Tensor) -> None:
         table = self._node.get_parameter(name)
-        count = torch.tensor(float(self.steps), device=table.device)
+        count = torch.full((), float(self.steps), device=table.device)
         self._adam.state[table] = {"step": count, "exp_avg": first, "exp_avg_sq": second}
 
 

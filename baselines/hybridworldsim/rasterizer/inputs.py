@@ -107,8 +107,11 @@ def check_inputs(
     backgrounds: Tensor | None,
     render_mode: RenderMode,
     nonfinite: NonFinite,
+    reads_values: bool = True,
 ) -> Inputs:
     """Check shapes, types and values, and reshape each tensor to scene and camera dimensions.
+
+    Without `reads_values` no number is read, which on a GPU would wait for all earlier work.
 
     Raises:
         UsageError: an argument is invalid; the error names it.
@@ -169,6 +172,8 @@ def check_inputs(
         backgrounds=backgrounds,
         nonfinite=nonfinite,
     )
+    if not reads_values:
+        return inputs
     x, y, z = inputs.viewmats.detach()[..., :3, :3].unbind(-2)
     if bool(((torch.linalg.cross(x, y) * z).sum(-1) == 0.0).any()):
         raise UsageError("a rotation is singular", place="viewmats", expected="camera from world, (..., C, 4, 4)")

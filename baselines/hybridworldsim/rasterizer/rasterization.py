@@ -115,7 +115,8 @@ def rasterization(
         backend: "cuda": gsplat; "cpu": compiled kernels; "reference": plain torch in float64, for small scenes; "auto":
             "cuda" for CUDA tensors, else "cpu".
         nonfinite: "raise": an error names the tensor and the first rows with NaN or infinity; "cull": these Gaussians
-            are left out, without gradients. Colours are checked for visible Gaussians only.
+            are left out, without gradients; on CUDA no number is read back, and cameras are not checked. Colours are
+            checked for visible Gaussians only.
 
     Returns:
         Images (..., C, height, width, channels), alphas (..., C, height, width, 1) and `meta`: gsplat's keys
@@ -147,6 +148,7 @@ def rasterization(
             place="far_plane",
             expected="at least the near plane",
         )
+    chosen = choose_backend(backend, means.device) if isinstance(means, Tensor) else "cpu"
     inputs = check_inputs(
         means,
         quats,
@@ -161,6 +163,7 @@ def rasterization(
         backgrounds=backgrounds,
         render_mode=render_mode,
         nonfinite=nonfinite,
+        reads_values=chosen != "cuda" or nonfinite == "raise",
     )
     coefficients = {
         "radial_coeffs": radial_coeffs,
@@ -179,7 +182,7 @@ def rasterization(
         antialiased=antialiased,
         absgrad=absgrad,
         preset=get_preset(preset),
-        backend=choose_backend(backend, means.device),
+        backend=chosen,
     )
     if options.backend != "cuda":
         return render(inputs, options, lenses, packed)

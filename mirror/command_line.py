@@ -52,7 +52,7 @@ def parse_arguments(
     examples: Sequence[str],
     renamed: Mapping[str, str] | None = None,
 ) -> _Arguments:
-    """Parse the arguments of a command. For ``--help`` and for wrong arguments it prints a text and exits.
+    """Parse the arguments of a command; for ``--help`` and wrong arguments, print a text and exit.
 
     Args:
         kind: the dataclass of the arguments.
@@ -132,7 +132,7 @@ def _spec_without_none(type_info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec
 
 
 def run_subcommand(words: Sequence[str], command: str, subcommands: Mapping[str, Subcommand]) -> int:
-    """Run the subcommand that the first word names; without one, or for ``--help``, list the subcommands.
+    """Run the subcommand that the first word names; without a word or for ``--help``, list the subcommands.
 
     Args:
         words: the words after the command.

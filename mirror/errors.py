@@ -87,11 +87,11 @@ class UsageError(MirrorError):
 
 
 class RecordingError(MirrorError):
-    """A recording cannot be used as it is."""
+    """A recording cannot be used in its present form."""
 
 
 class SchemaError(MirrorError):
-    """A table or a JSON file does not follow its schema, or follows another version of it."""
+    """A table or a JSON file does not follow its schema, or follows another version of the schema."""
 
 
 class DatasetError(MirrorError):

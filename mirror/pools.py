@@ -58,7 +58,7 @@ class ProcessPool:
 def process_pool(
     workers: int, begin: Callable[_Arguments, None], *args: _Arguments.args, **kwargs: _Arguments.kwargs
 ) -> Iterator[ProcessPool]:
-    """Open a pool of worker processes with one thread a library each, for as many processes as cores.
+    """Open a pool of worker processes, in each of which a library uses one thread.
 
     They never hear Ctrl-C, which a terminal sends to all processes of a command, and they end when this process does,
     however it ends. Where the block ends with an error they are killed.

@@ -22,7 +22,7 @@ _DATASET: Final = "dataset.json"
 
 
 def complete_remedy(error: MirrorError, command: str, words: Sequence[str] = ()) -> None:
-    """Add a remedy to an error that has none: an option, a place in a file, or the help of its command.
+    """Add a remedy to an error without one: an option, a place in a file, or the help of the command.
 
     Args:
         error: as it was raised.

@@ -117,7 +117,7 @@ class Stops:
         self._silence()
 
     def work(self, run: Callable[[], int]) -> int:
-        """Do the command's work; after a signal this ends the process.
+        """Do the command's work; if a signal came, end the process afterwards.
 
         Args:
             run: the work; it returns the exit code.

@@ -98,7 +98,7 @@ class Paper(Document):
 
 
 class Reported(Document):
-    """Figures that a paper states; they were not measured here.
+    """Figures from a paper, which were not measured by this toolkit.
 
     Attributes:
         kind: tag of the type.
@@ -239,12 +239,12 @@ class _File(RootModel[Annotated[Entry, Field(discriminator="kind")]]):
 
 
 def load_entries(folder: Path) -> list[Entry]:
-    """Load all entries of a folder, in the order of their file names; errors as of `load_entry_files`."""
+    """Load all entries of a folder, ordered by file name; see `load_entry_files` for the errors."""
     return list(load_entry_files(folder).values())
 
 
 def load_entry_files(folder: Path) -> dict[Path, Entry]:
-    """Load all entries of a folder by their files, in the order of the file names.
+    """Load all entries of a folder, by file, ordered by file name.
 
     Raises:
         DatasetError: the folder does not exist.

@@ -81,7 +81,7 @@ class OrganiserKeys(Document):
         return next((key for key in self.keys if key.id == identifier), None)
 
     def rotated(self, public: str, day: date) -> OrganiserKeys:
-        """Return the keys and a new one, which replaces the current one from a day on."""
+        """Return the keys with a new key, which replaces the current one from a day on."""
         ended = self.current.model_copy(update={"until": max(day, self.current.since)})
         new = OrganiserKey(id=key_id(public), public=public, since=day)
         return OrganiserKeys(keys=(*self.keys[:-1], ended, new))

@@ -54,7 +54,7 @@ def with_box_layer(dataset: Dataset, requested: str | None) -> Dataset:
 
 
 def read_box_layer(dataset: Dataset, layer: str) -> dict[str, list[Detections]]:
-    """Read the boxes of a layer by traversal: one entry for each frame, in order of time, also without boxes.
+    """Read the boxes of a layer by traversal: one entry for each frame, by time, even for frames without boxes.
 
     Args:
         dataset: a view; traversals without the layer are left out.

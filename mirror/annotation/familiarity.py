@@ -33,7 +33,7 @@ class TrainingData(Document):
 
 
 def read_training_data(dataset: Dataset, layer: str) -> dict[str, TrainingData]:
-    """Read the training data that the annotator of a layer states, by traversal; empty if it states none.
+    """Read the training data that the annotator of a layer states, by traversal; empty without a statement.
 
     Args:
         dataset: a view; traversals without the layer are left out.
@@ -52,7 +52,7 @@ def read_training_data(dataset: Dataset, layer: str) -> dict[str, TrainingData]:
 
 
 def describe_training_data(name: str, trained_on: str, unfamiliar: int, frames: int) -> str:
-    """Describe the training data of an annotator, and count the frames that do not look like it."""
+    """Describe an annotator's training data, and count the frames that do not look like it."""
     text = f"{name} was trained on {trained_on}"
     if not unfamiliar:
         return f"{text}; all {frames} frames look like that"

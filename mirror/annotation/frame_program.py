@@ -26,7 +26,7 @@ _POLL_S: Final = 0.1
 
 
 class FrameProgram:
-    """A program that answers for frames, and is started at the first one.
+    """A program that answers requests about frames, started at the first frame.
 
     Args:
         command: words of the command.

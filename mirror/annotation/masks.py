@@ -164,7 +164,7 @@ def mask_layer(
 
 
 def frame_masks(frame: Frame, options: MaskOptions) -> dict[str, UInt8]:
-    """Return the masks (H, W) of the images of a frame, by camera; all images have one, also without boxes.
+    """Return the masks (H, W) of a frame's images, by camera; images without boxes have a mask too.
 
     Raises:
         DatasetError: an instance mask is missing, broken, or of another size than its image.

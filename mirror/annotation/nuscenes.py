@@ -57,7 +57,7 @@ def read_results(path: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def to_detections(boxes: Sequence[Mapping[str, Any]], timestamp_ns: int, world_SE3_ego: Poses) -> Detections:
-    """Convert the boxes of one sample from the world frame.
+    """Convert the boxes of one sample from the world frame to the ego frame.
 
     Args:
         boxes: boxes of the sample, as in the file.

@@ -64,7 +64,7 @@ class InstalledAnnotator(Protocol):
 
 
 def takes_device(installed: object) -> bool:
-    """Return whether an installed annotator or describer computes on a device: True unless it states False."""
+    """Return whether an annotator or describer computes on a device: True unless its `takes_device` is False."""
     return bool(getattr(installed, "takes_device", True))
 
 

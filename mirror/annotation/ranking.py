@@ -85,12 +85,12 @@ def rank_frames(dataset: Dataset, layer: str | None = None, against: str | None 
 
 
 def count_unmatched(one: Detections, other: Detections) -> int:
-    """Return the number of boxes of two sets that have no partner of their group in the other set within 2 m."""
+    """Count the boxes of two sets without a partner of their group in the other set within 2 m."""
     return len(one) + len(other) - 2 * len(match_boxes(one, other))
 
 
 def match_boxes(one: Detections, other: Detections) -> list[tuple[int, int]]:
-    """Return the pairs of rows of two sets, nearest first: boxes of one group whose middles are within 2 m."""
+    """Return the pairs of rows of two sets, nearest first: boxes of one group with middles within 2 m."""
     pairs = sorted(
         (float(np.linalg.norm(one.ego_SE3_box.translation[a, :2] - other.ego_SE3_box.translation[b, :2])), a, b)
         for a in range(len(one))

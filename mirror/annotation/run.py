@@ -195,7 +195,7 @@ def _annotate_frame(
 
 
 def box_table(frames: dict[int, list[dict[str, Any]]]) -> pa.Table:
-    """Return the rows of a layer of boxes, in the table's order; boxes without a track id get one of their own.
+    """Return the rows of a layer of boxes, in the table's order; boxes without a track id get a new id each.
 
     Args:
         frames: rows of `Detections.to_rows` by time.

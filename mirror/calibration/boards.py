@@ -79,7 +79,7 @@ class BoardView:
 
 
 def find_board(image: UInt8, board: CalibrationBoard) -> BoardView | str:
-    """Return the corners of the board in an (H, W) grey image; else the reason why there are none."""
+    """Return the corners of the board in an (H, W) grey image, or the reason why none were found."""
     return _find_charuco(image, board) if board.kind == "charuco" else _find_chessboard(image, board)
 
 

@@ -33,7 +33,7 @@ METHOD: Final = "joint epipolar estimate, 2"
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """The estimate of one camera in one traversal, as it is reported.
+    """The reported estimate of one camera in one traversal.
 
     Attributes:
         camera: the camera.

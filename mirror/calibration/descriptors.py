@@ -45,7 +45,7 @@ def find_nearest(first: Float32, second: Float32, similarity: Float32) -> Int64:
 
 
 def measure_angles(first: Float32, second: Float32) -> Float64:
-    """Measure the angles (N,) in radians between unit vectors (N, D), by their chords: exact also near zero."""
+    """Measure the angles (N,) in radians between unit vectors (N, D) by their chords, accurate near zero too."""
     chord = np.linalg.norm(first.astype(np.float64) - second, axis=1)
     return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
 

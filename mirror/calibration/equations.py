@@ -36,7 +36,7 @@ _SCALE_STEP: Final = 0.01
 
 
 class JointProblem:
-    """The equations of one rig: rays are computed once, and can be solved for other mountings.
+    """The equations of one rig: rays are computed once, and the equations can be solved for other mountings.
 
     Args:
         rig: the rig with its tracks.
@@ -331,7 +331,7 @@ class Solution:
 
 
 def rays_with_slopes(camera: Camera, uv_px: Float64) -> tuple[Float64, Float64]:
-    """Compute unit rays (N, 3) of points (N, 2), and their derivatives (N, 3, 2) by the pixel: central differences."""
+    """Compute unit rays (N, 3) of points (N, 2), and their derivatives (N, 3, 2) by the pixel (central differences)."""
     step = 0.25
     slopes = [
         (camera.unproject(uv_px + aside).direction - camera.unproject(uv_px - aside).direction) / (2.0 * step)

@@ -90,7 +90,7 @@ class CameraEstimate:
 
     @property
     def angle_deg(self) -> float:
-        """Length of the error over the observable axes; NaN if there is none."""
+        """Length of the error over the observable axes; NaN if no axis is observable."""
         known = self.observable
         return float(np.linalg.norm(self.error_deg[known])) if known.any() else float("nan")
 

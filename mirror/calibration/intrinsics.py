@@ -26,7 +26,7 @@ _OUTLIER: Final = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Intrinsics:
-    """A lens, and how well the images determine it.
+    """A lens, and how well the images determine the lens.
 
     Attributes:
         camera: the lens.

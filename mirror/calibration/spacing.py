@@ -34,7 +34,7 @@ class PairAttempt:
 
 @dataclass(frozen=True)
 class ImageSpacing:
-    """Spacing of the images of a drive: medians over neighbouring ones between which the vehicle moves.
+    """Spacing of a drive's images: medians over neighbouring images between which the vehicle moves.
 
     Images of a standing vehicle would hide how far apart those of the drive are.
 

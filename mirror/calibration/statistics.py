@@ -73,7 +73,7 @@ def require_scipy() -> None:
 
 
 def clopper_pearson(successes: int, samples: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the one-sided lower and upper bounds of a share (C. Clopper, E. Pearson 1934).
+    """Return the one-sided lower and upper confidence bounds of a share (C. Clopper, E. Pearson 1934).
 
     Args:
         successes: number of successes, at most ``samples``.

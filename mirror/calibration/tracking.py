@@ -202,7 +202,7 @@ def track_rig(
 def fit_one_pose(
     camera: Camera, first_px: Float64, second_px: Float64, within_px: float, second: Camera | None = None
 ) -> Bool:
-    """Mark which of N tracks fit one relative pose: RANSAC with the five-point essential matrix, a fixed random seed.
+    """Mark which of N tracks fit one relative pose, by RANSAC with the five-point algorithm and a fixed seed.
 
     The test does not use the mounting of the camera, so an error of the mounting removes no track.
 

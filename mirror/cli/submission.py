@@ -250,7 +250,7 @@ def plain_report(report: SubmissionCheck) -> dict[str, object]:
 
 
 def print_report(report: SubmissionCheck, submission: Path) -> None:
-    """Print the report of a check for people: the first problems of each kind, and the number of others."""
+    """Print the report of a check for people: the first problems of each kind, and how many more there are."""
     from itertools import groupby
 
     for kind, group in groupby(report.problems, key=lambda problem: problem.kind):

@@ -64,7 +64,7 @@ class ContentHashes:
         return digest
 
     def frame(self, frame: Frame, conditions: str, *, images: bool = True) -> str:
-        """Hash a frame: its images, and the tables that it is read with; an unreadable image has no hash.
+        """Hash a frame: its images and the tables that it depends on; an unreadable image has no hash.
 
         Args:
             frame: the frame.

@@ -145,7 +145,7 @@ class Dataset:
         role: Choice = None,
         withheld: bool | None = None,
     ) -> Dataset:
-        """Make a view with further restrictions. They apply together with those of this view.
+        """Make a view with further restrictions, in addition to the restrictions of this view.
 
         In a table with a timestamp, a place or a camera, each row is filtered by it. A table without them keeps the
         rows of the traversals that pass. A traversal passes ``time`` if the interval from entry to exit overlaps it,
@@ -206,7 +206,7 @@ class Dataset:
         depth: str | None = None,
         points: str | None = None,
     ) -> Dataset:
-        """Make a view that reads other layers. Layers that are not named stay as they are.
+        """Make a view that reads other layers; layers that are not named stay unchanged.
 
         Args:
             poses: ``recorded`` or ``source@version``.

@@ -19,7 +19,7 @@ ANOTHER_VERSION: Final = "give the new layer another version: --version NAME"
 
 @dataclass(frozen=True)
 class DerivedLayer:
-    """One layer of one traversal, and the inputs that it is to be made from.
+    """One layer of one traversal, and the inputs that the layer is made from.
 
     A traversal has the layer, or it is missing, or it was made from other inputs. In the last case the layer stays, and
     the new one needs another version.
@@ -75,7 +75,7 @@ class DerivedLayer:
         return True
 
     def open(self) -> LayerWriter:
-        """Open a writer of the layer, which is missing; it records the inputs.
+        """Open a writer of the missing layer, which records the inputs.
 
         Raises:
             UsageError: the source or version is not valid in a folder's name.

@@ -175,7 +175,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrameSequence(Sequence[Frame]):
-    """The frames of a view, in order of traversal and time. It holds only their positions in the index.
+    """The frames of a view, by traversal and time; only their positions in the index are held.
 
     Attributes:
         parts: row groups of the frames table, with their rows in the view.

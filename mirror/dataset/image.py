@@ -107,7 +107,7 @@ class Image:
     _loader: Loader = field(repr=False)
 
     def read(self, *, verify: bool = False) -> bytes:
-        """Read the encoded bytes. For a frame of a video these are the bytes of the whole video.
+        """Read the encoded bytes; for a frame of a video, the bytes of the whole video.
 
         Args:
             verify: compare the bytes with ``sha256``.
@@ -155,7 +155,7 @@ class Image:
 
     @property
     def is_withheld(self) -> bool:
-        """Return whether the dataset is a published one that withholds this image: only its organiser can read it."""
+        """Return whether the dataset is published and withholds this image, which only the organiser can read."""
         return self.uri in self._loader.catalog.withheld
 
     @property

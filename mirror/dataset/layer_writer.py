@@ -27,7 +27,7 @@ RECORDED: Final = "recorded"
 
 
 def require_layer_name(source: str, version: str) -> None:
-    """Refuse a source or a version that cannot be a part of a folder's name; verbs do it before their work.
+    """Refuse a source or version that cannot be part of a folder's name; verbs call it before their work.
 
     Raises:
         UsageError: one of them has other characters than letters, digits, `_`, `-` and `.`, or begins with a sign.

@@ -81,7 +81,7 @@ class Loader:
         return self._rigs[rig_id]
 
     def in_rig_order(self, row: int, cameras: Collection[str]) -> list[str]:
-        """Return the cameras among some that are in the view, in the order of the rig."""
+        """Return the given cameras that are in the view, in the order of the rig."""
         rig = self.rig(row)
         order = [] if rig is None else [camera.name for camera in rig.cameras]
         listed = [*(name for name in order if name in cameras), *sorted(set(cameras) - set(order))]

@@ -36,7 +36,7 @@ def is_being_written(layout: Layout) -> bool:
 
 @contextmanager
 def writer_lock(layout: Layout, *, wait: bool) -> Iterator[None]:
-    """Hold the dataset's writer lock. Folders that this call created are removed at the end if they are still empty.
+    """Hold the dataset's writer lock; folders that this call created are removed at the end if still empty.
 
     Args:
         layout: the dataset; its root is created if missing.

@@ -102,7 +102,7 @@ class ImageRaster:
 
 @lru_cache(_CACHED_RASTERS)
 def image_raster(camera: Camera, undistort: bool, resize: Resize | None) -> ImageRaster:
-    """Return the raster of a camera. The rasters of the last 32 cameras are kept, with their maps.
+    """Return the raster of a camera; the rasters of the last 32 cameras are cached, with their maps.
 
     Args:
         camera: the calibrated camera.

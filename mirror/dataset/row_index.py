@@ -26,7 +26,7 @@ class RowIndex:
         self._sorted = values[self._order]
 
     def rows(self, value: int) -> Int64:
-        """Return the rows (K,) of a value in ascending order; (0,) if it does not occur."""
+        """Return the rows (K,) of a value in ascending order; (0,) if the value does not occur."""
         first, end = np.searchsorted(self._sorted, value, "left"), np.searchsorted(self._sorted, value, "right")
         return self._order[first:end]
 
@@ -37,7 +37,7 @@ class RowIndex:
 
     @cached_property
     def step(self) -> float:
-        """The median difference of neighbouring values; 0 where there are fewer than two."""
+        """The median difference of neighbouring values; 0 with fewer than two values."""
         return float(np.median(np.diff(self.distinct))) if len(self.distinct) > 1 else 0.0
 
     def nearest(self, value: int) -> int | None:

@@ -96,7 +96,7 @@ class Store:
         return str(self.folder / path) if self.folder is not None else f"{self.root.rstrip('/')}/{path}"
 
     def read_stable(self, path: str, read: Callable[[Path], Result]) -> Result:
-        """Read a local file in its state of this store's generation.
+        """Read a local file as it was in this store's generation.
 
         Args:
             path: path relative to the root.

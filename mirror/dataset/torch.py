@@ -35,7 +35,7 @@ _REMEDIES: Final = {
 
 
 class SampleOptions(TypedDict, total=False):
-    """Options of `FrameDataset`, which documents them."""
+    """Options of `FrameDataset`; see there."""
 
     undistort: bool
     resize: Resize | None

@@ -67,7 +67,7 @@ class FigureComparison:
 
 @dataclass(frozen=True)
 class ResultComparison:
-    """The comparison of a result with the first one.
+    """The comparison of a result with the first result.
 
     Attributes:
         name: method name of the other result.

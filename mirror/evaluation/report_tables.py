@@ -27,13 +27,13 @@ class Footnotes:
     numbers: dict[str, int] = field(default_factory=dict)
 
     def mark(self, remarks: Iterable[str]) -> list[int]:
-        """Return the numbers of remarks; new remarks get the next ones."""
+        """Return the numbers of remarks; new remarks get the next numbers."""
         return sorted({self.numbers.setdefault(remark, len(self.numbers) + 1) for remark in remarks})
 
 
 @dataclass(frozen=True)
 class FigureCell:
-    """A figure as a page shows it.
+    """A figure in the form in which a page shows it.
 
     Attributes:
         text: its value, without the unit.

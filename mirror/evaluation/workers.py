@@ -51,7 +51,7 @@ class _JobOutcome:
 
 
 class ScoreLog(FinishedWork[Values]):
-    """The values of the jobs of this run and of earlier ones.
+    """The values of the jobs of this run and of earlier runs.
 
     Args:
         path: the file; it need not exist.

@@ -69,7 +69,7 @@ def nerfstudio_lens(camera: Camera) -> ForeignLens | None:
 
 
 def pinhole_lens(camera: Camera) -> ForeignLens | None:
-    """Return the model of formats with a 3x3 matrix: distorted cameras have none."""
+    """Return the pinhole lens for formats with a 3x3 matrix; None for distorted cameras."""
     return ForeignLens("pinhole", {}) if camera.lens.straight and camera.model != "kannala_brandt" else None
 
 

@@ -51,7 +51,7 @@ _PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
 @dataclass(frozen=True)
 class Episode:
-    """Complete frames of one traversal that follow each other without a gap, with the images by camera."""
+    """Consecutive complete frames of one traversal without a gap, with the images by camera."""
 
     traversal_id: str
     task: str

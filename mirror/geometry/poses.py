@@ -213,7 +213,7 @@ class Poses:
         return out
 
     def one_matrix(self) -> Float64:
-        """Return the homogeneous matrix (4, 4) of a single pose, such as that of one image.
+        """Return the homogeneous matrix (4, 4) of a single pose.
 
         Raises:
             UsageError: there are none or several poses.

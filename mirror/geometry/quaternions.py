@@ -207,7 +207,7 @@ def quaternion_log(quaternion: npt.ArrayLike) -> Float64:
 
 
 def slerp(first: npt.ArrayLike, second: npt.ArrayLike, fraction: npt.ArrayLike) -> Float64:
-    """Turn at constant rate along the shorter way from one rotation to another (Shoemake, SIGGRAPH 1985).
+    """Interpolate at constant rate along the shorter way from one rotation to another (Shoemake, SIGGRAPH 1985).
 
     Args:
         first: (..., 4) unit quaternions, reached at fraction 0.

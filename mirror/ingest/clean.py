@@ -32,7 +32,7 @@ from mirror.schema.documents import CleaningOptions, CleaningReport
 
 @dataclass(frozen=True)
 class CleanTrack:
-    """A track in time order with a status for each fix. Dropped fixes stay in the arrays, so that nothing is copied.
+    """A track in time order with a status for each fix; dropped fixes stay in the arrays, to avoid copies.
 
     Attributes:
         timestamp_ns: (N,) not decreasing; strictly increasing over the kept fixes.
@@ -57,7 +57,7 @@ class CleanTrack:
         return np.flatnonzero(self.status[start:stop] <= RESTART) + start
 
     def recorded(self, positions: Int64) -> Int64:
-        """Return the rows in the recorded track of the fixes at these positions."""
+        """Return the rows in the recorded track of the fixes at given positions."""
         return positions if self.order is None else self.order[positions]
 
     def fixes(self) -> Fixes:

@@ -43,12 +43,12 @@ def make_rig_document(drive: DrivePasses) -> Rig | None:
 
 
 def uncalibrated_cameras(rig: RigInfo | None) -> tuple[str, ...]:
-    """Return the names of the cameras of which the source states that it has no calibration."""
+    """Return the names of the cameras that have no calibration, according to the source."""
     return () if rig is None else tuple(camera.name for camera in rig.cameras if not camera.is_calibrated)
 
 
 def refuse_conflicting_rig(layout: Layout, drive: DrivePasses, seen: dict[str, Rig]) -> None:
-    """Refuse a rig whose id is taken by another, in the dataset or in this run.
+    """Refuse a rig whose id another rig has, in the dataset or in this run.
 
     Args:
         layout: the dataset.
@@ -143,7 +143,7 @@ def seal_drive(
 
 
 def are_traversals_intact(layout: Layout, drive_id: str) -> bool:
-    """Return whether every traversal of a complete drive is as it was sealed, images aside."""
+    """Return whether every traversal of a complete drive is unchanged since it was sealed, images aside."""
     manifest = complete_manifest(layout.drive(drive_id))
     if manifest is None:
         return False

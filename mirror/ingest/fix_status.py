@@ -117,7 +117,7 @@ def _find_next_fix(index: int, fixes: Fixes) -> int:
 
 @compiled_above(PLAIN_ELEMENTS)
 def set_status(fixes: Fixes, limits: CleaningLimits) -> None:
-    """Fill ``fixes.status`` by the rules of this module."""
+    """Set ``fixes.status`` by the rules of this module."""
     stamps, lon_or_x, lat_or_y, status, geodetic = fixes
     total = len(stamps)
     track_start, track_length = 0, 0

@@ -64,7 +64,7 @@ class _DriveTrack:
 
 @dataclass(frozen=True)
 class SparseDrives:
-    """Drives whose fixes are so far apart that gaps cut them to pieces.
+    """Drives whose fixes are so far apart that gaps cut the drives to pieces.
 
     Attributes:
         drives: how many; over half of the time of each lies in gaps over ``max_gap_s``.

@@ -80,7 +80,7 @@ class IngestOptions:
 
 @dataclass(frozen=True)
 class DriveReport:
-    """The result of one drive's ingest; nothing in it grows with the drive's poses or images.
+    """The result of one drive's ingest, of a size that does not depend on the drive's poses or images.
 
     Attributes:
         path: where the recording lies.

@@ -25,7 +25,7 @@ _TRAVERSAL: Final = "traversal:"
 
 
 class Staging:
-    """The folder of one run: laid out as a dataset is, with the drives and traversals that are complete.
+    """The folder of one run, laid out like a dataset, with the drives and traversals that are complete.
 
     Args:
         dataset: that they will be part of.

@@ -93,7 +93,7 @@ def write_traversal(
     *,
     replace: bool = False,
 ) -> WriteReport:
-    """Write one accepted pass, or find it complete.
+    """Write one accepted pass, unless it is complete already.
 
     Attempts at the same traversal do not meet: each writes a folder of its own, and the first that is complete stays.
 

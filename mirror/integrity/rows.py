@@ -126,7 +126,7 @@ class TableRows:
         return ", ".join([f"row {self.row[row]}", *(f"{name} {self.data.column(name)[row].as_py()}" for name in keys)])
 
     def findings(self, bad: Bool, message: Callable[[int], str], *, worst: Float64 | None = None) -> Iterator[Finding]:
-        """Yield a finding for each file with bad rows. It names the first or worst of them, and their number.
+        """Yield a finding for each file with bad rows, with the first or worst row and the number of bad rows.
 
         Args:
             bad: (N,) mask of the bad rows.

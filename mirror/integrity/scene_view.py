@@ -65,7 +65,7 @@ class SceneView:
 
     @cached_property
     def all_images(self) -> TableRows:
-        """Recorded images and redacted ones."""
+        """Recorded and redacted images."""
         return self._with_layers(self.images, "redaction")
 
     @cached_property
@@ -187,7 +187,7 @@ class SceneView:
 
     @cached_property
     def exit_ns(self) -> Int64:
-        """(traversals,) exits; the largest number where the ledger has none."""
+        """(T,) times of the traversals' exits; the largest int64 where the ledger has none."""
         return self._passed("exit_ns", np.iinfo(np.int64).max)
 
     def _passed(self, name: str, default: int) -> Int64:

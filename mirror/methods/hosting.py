@@ -142,7 +142,7 @@ def require_own(out: Path, document: Reconstruction) -> None:
 
 
 def write_costs(out: Path, result: ReconstructionResult) -> None:
-    """Write the costs into a model's document, unless it has them: the model is finished.
+    """Write the costs into a model's document, which completes the model, unless it has costs already.
 
     Raises:
         DatasetError: the folder has no document.

@@ -67,7 +67,7 @@ class InteractiveDeviceMethod(Protocol):
 
 @dataclass(frozen=True)
 class PlainRenderer:
-    """The renderer of a method without an interactive one: each image has one trained appearance, none is a mixture.
+    """The renderer for methods without an interactive one: each image has one trained appearance, never a mixture.
 
     Attributes:
         appearances: the trained appearances, in order of traversals.

@@ -30,7 +30,7 @@ from mirror.protocols.views.view import RenderView
 
 
 class ModelRenderer:
-    """A trained model as a function of views; what its method returns is checked.
+    """A trained model as a function of views, whose method's output is checked.
 
     Args:
         name: name of the method, for messages.
@@ -145,7 +145,7 @@ class ModelFolder:
         return ModelRenderer(self.name, renderer, find_capabilities(self.method, renderer))
 
     def open_interactive(self, appearances: Sequence[TrainedAppearance], *, device: str = CPU) -> InteractiveRenderer:
-        """Open the model to move through it.
+        """Open the model for interactive rendering.
 
         Args:
             appearances: the trained traversals, for a method without the capability `opens_interactively`.

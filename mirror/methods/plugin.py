@@ -90,7 +90,7 @@ class ReconstructionResult:
 
 
 class InstalledMethod(Protocol):
-    """A method as it is installed: the functions of `Method`, without the statement of its capabilities.
+    """An installed method: the functions of `Method`, without the statement of its capabilities.
 
     A method that has no attribute `capabilities` has those that its functions show.
     """

@@ -380,5 +380,5 @@ def find_measure(metric: str) -> Measure:
 
 
 def plain_names(kind: Kind) -> tuple[str, ...]:
-    """List the metrics of a kind that protocols name by their names alone."""
+    """List the metrics of a kind that protocols name without options."""
     return tuple(name for name, measure in MEASURES.items() if measure.kind == kind and measure.is_plain)

@@ -141,7 +141,7 @@ def images_of(values: Iterable[Pixels], what: str, layout: Layout | None) -> Ite
 
 
 def as_masks(mask: Pixels | None, layout: Layout | None, count: int) -> Sequence[AnyArray | None]:
-    """Return the masks of images: one (H, W) for all of them, or (N, H, W) of a batch.
+    """Return the masks of images: one mask (H, W) for all images, or (N, H, W) for a batch.
 
     Raises:
         UsageError: `as_array` refuses it, or there are not as many as images.

@@ -31,7 +31,7 @@ def render_page(package: str, template: str, **values: object) -> str:
 
 
 def render_part(package: str, template: str, macro: str, *values: object) -> Markup:
-    """Render a macro of a template, as a part of a page; a template that gets the result does not escape it again.
+    """Render a macro of a template as a part of a page, marked as safe from a second escaping.
 
     Args:
         package: the package whose folder ``templates`` has the template.
@@ -56,7 +56,7 @@ def style_sheet() -> str:
 
 
 def read_script(package: str, name: str) -> Markup:
-    """Read a script that lies in a package, for a page that holds it itself."""
+    """Read a script that lies in a package, to be embedded in a page."""
     from markupsafe import Markup
 
     return Markup(files(package).joinpath(name).read_text())

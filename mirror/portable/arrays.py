@@ -84,7 +84,7 @@ def matmul(a: ArrayLike, b: ArrayLike) -> Any:
 
 
 def convolve(values: ArrayLike, window: ArrayLike) -> Float64:
-    """Return the values (N,) weighted by a window (M,) at each place where it fits: (N - M + 1,)."""
+    """Return the sums (N - M + 1,) of values (N,) weighted by a window (M,) at each place."""
     given, weights = np.asarray(values, np.float64), np.asarray(window, np.float64)
     count = len(given) - len(weights) + 1
     total = np.zeros(count)

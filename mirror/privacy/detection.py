@@ -80,7 +80,7 @@ class Detected(Document):
 
 
 class DetectionLog(FinishedWork[Detected]):
-    """The detections of a traversal so far; each is reused for the bytes, masks and regions that it was made from.
+    """The detections of a traversal so far; each is reused for equal bytes, masks and regions.
 
     Args:
         path: the file; it need not exist.

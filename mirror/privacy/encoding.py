@@ -41,7 +41,7 @@ class RedactedImage:
 
 
 def redact_encoded(data: bytes, codec: Codec, regions: Sequence[Region], how: Redaction, file: str) -> RedactedImage:
-    """Remove regions and metadata from an encoded image; its raster stays as it is stored.
+    """Remove regions and metadata from an encoded image, without turning its stored raster.
 
     An EXIF orientation is removed and not applied, as calibrations refer to the stored raster: `turn_upright` and
     `to_stored` map images and regions between the two.
@@ -85,7 +85,7 @@ def redact_frame(pixels: UInt8, regions: Sequence[Region], how: Redaction, file:
 
 
 def apply_orientation(data: bytes, codec: Codec, file: str) -> bytes:
-    """Turn the raster of an image by its EXIF orientation, and remove the tag, so that it is applied exactly once.
+    """Turn the raster of an image by its EXIF orientation and remove the tag, to prevent a second turn.
 
     For images outside of a dataset, whose raster no calibration refers to. An image that stands upright is returned
     without metadata and with its scan data untouched.

@@ -101,7 +101,7 @@ def region_mask(regions: Iterable[Region], grow: float, width_px: int, height_px
 
 
 def covered_share(box_px: Sequence[float], others: Sequence[Sequence[float]]) -> float:
-    """Return the share of a rectangle that the union of others covers, 0 to 1; exact.
+    """Return the exact share, 0 to 1, of a rectangle that the union of other rectangles covers.
 
     Args:
         box_px: left, top, right and bottom.

@@ -60,7 +60,7 @@ def summarize_redactions(dataset: Dataset) -> RedactionSummary | None:
 
 @dataclass(frozen=True, eq=False)
 class RemovalExample:
-    """A region and its surroundings in the recorded image and in the redacted one.
+    """A region and its surroundings, in the recorded and in the redacted image.
 
     Attributes:
         kind: what the region shows.

@@ -36,7 +36,7 @@ class MissingImages:
         return f"{self.count} of {self.total} images are missing"
 
     def to_error(self, cause: RecordingError | None = None) -> RecordingError:
-        """Return the error of a drive that is refused for its missing images, with the option that accepts it."""
+        """Make the error for a drive that is refused for missing images, with the option that accepts such a drive."""
         share = math.ceil(self.count / self.total * 1000) / 1000
         remedy = cause.remedy if cause is not None and cause.remedy else "restore the images"
         problem = self.words if cause is None or cause.problem == "missing" else f"{self.words}: {cause.problem}"
@@ -64,7 +64,7 @@ def find_missing_images(recording: Recording) -> MissingImages:
 
 
 def name_missing_images(recording: Recording, error: RecordingError) -> RecordingError:
-    """Add the number of missing images, and the option that accepts them, to an error."""
+    """Add to an error the number of missing images, and the option that accepts them."""
     try:
         missing = find_missing_images(recording)
     except MirrorError:

@@ -20,7 +20,7 @@ _LOCAL = frozenset((
 
 
 def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
-    """Return the path of a file that a recording names; it must lie inside the recording.
+    """Return the path of a file that a recording names, and require that the path lies inside the recording.
 
     Args:
         root: the recording's folder.
@@ -111,7 +111,7 @@ def is_remote_uri(uri: str) -> bool:
 
 
 def list_folder(root: Path, folder: Path) -> dict[str, Path]:
-    """Return the regular files of one folder by name; see `list_file_names`."""
+    """Return the regular files of one folder, by name; see `list_file_names`."""
     return {name: folder / name for name in list_file_names(root, folder)}
 
 

@@ -66,7 +66,7 @@ class DriveInfo:
 
 @dataclass(frozen=True)
 class Track:
-    """All poses of a drive, as recorded: unsorted, repeated and wild ones included.
+    """All poses of a drive, as recorded: unsorted, with repeated and wild ones.
 
     Attributes:
         timestamp_ns: (N,) Unix time, UTC.
@@ -143,7 +143,7 @@ class RigInfo:
 
 
 def choose_reference_camera(cameras: Sequence[str]) -> str:
-    """Return the reference camera of a rig whose source names none: ``front_wide``, else the first.
+    """Return the reference camera of a rig whose source names none: ``front_wide``, else the first camera.
 
     Args:
         cameras: names of the cameras, one at least.

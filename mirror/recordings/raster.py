@@ -48,7 +48,7 @@ class _BrokenError(Exception):
 
 
 def read_raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
-    """Read width and height in pixels from the header; the bytes after it may be missing.
+    """Read width and height in pixels from the header; the rest of the file may be missing.
 
     Raises:
         RecordingError: neither a JPEG nor a PNG, or broken or cut off before its size.

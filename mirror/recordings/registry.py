@@ -51,7 +51,7 @@ def _make_installed_reader(name: str) -> Reader:
 
 
 def open_recording(path: str | Path, reader: str | None = None, options: Mapping[str, str] | None = None) -> Recording:
-    """Open a recording with a named reader, or with the one that recognises it.
+    """Open a recording with a named reader, or with the reader that recognises the recording.
 
     Args:
         path: a file or folder, or ``FOLDER/NAME`` for a drive of a folder that holds several.

@@ -63,7 +63,7 @@ class RowFaults:
         self._code[new] = 1 + REASONS.index(reason)
 
     def drop_from(self, track: Track) -> Track:
-        """Remove the marked rows from a track and add them to its ``bad``, and equal rows to its ``repeats``.
+        """Remove marked rows and repeated rows from a track; add them to its ``bad`` and ``repeats``.
 
         Args:
             track: one row for each row of the table.

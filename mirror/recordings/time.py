@@ -90,7 +90,7 @@ def unix_from_gps_ns(gps_ns: Int64) -> Int64:
 
 
 def order_leap_seconds(unix_ns: Int64, in_leap_second: Bool) -> Int64:
-    """Give instants within an inserted leap second stamps of their own: between the second before and the one after.
+    """Give instants within an inserted leap second stamps in order, between the seconds before and after.
 
     Unix time has one second for two: the leap second and the second before it share it, at half the rate, so that no
     two stamps coincide and their order stays. A stamp is then at most half a second early. Recordings without an

@@ -58,7 +58,7 @@ class CopiedVideo:
 
 @dataclass
 class VideoStream:
-    """The frames of one video, encoded as JPEG (quality 95, 4:2:0).
+    """The frames of one video, which are encoded as JPEG (quality 95, 4:2:0).
 
     Attributes:
         camera: the camera's name.

@@ -109,7 +109,7 @@ def _broken_error(file: Path, reason: object) -> RecordingError:
 
 
 def av_error_type() -> type[Exception]:
-    """Return the type of PyAV's errors, which is imported only where it is needed."""
+    """Return the type of PyAV's errors; PyAV is imported only when it is needed."""
     import av
 
     return av.FFmpegError

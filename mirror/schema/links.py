@@ -18,7 +18,7 @@ _MAX_PATH: Final = 4095
 
 
 def require_inside(root: Path, path: str | Path) -> Path:
-    """Require that no link on the way from a folder to a path below it leads out of the folder.
+    """Require that no link between a folder and a path below it leads out of the folder.
 
     Args:
         root: the folder.

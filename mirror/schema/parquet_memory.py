@@ -57,7 +57,7 @@ def require_memory(
 
 
 def read_distinct_rows(file: pq.ParquetFile, path: str | Path, *, copies: float = 2.0) -> tuple[pa.Table, Int64]:
-    """Read a Parquet file in batches, without rows that equal the row before them in every column.
+    """Read a Parquet file in batches, without rows that equal the previous row in every column.
 
     The memory is that of the rows that are kept and of one batch. A row with a null or NaN equals no other one, unless
     the column has only nulls.

@@ -21,7 +21,7 @@ _QUOTE: Final = "'"
 
 
 def describe_problem(details: ErrorDetails) -> str:
-    """Describe the fault of a value: one of `pydantic.ValidationError.errors`, without the exception's name."""
+    """Describe the fault of a value, from an entry of `pydantic.ValidationError.errors`."""
     if details["type"] in _KEYS:
         return _KEYS[details["type"]]
     if details["type"] == "string_pattern_mismatch":

@@ -77,11 +77,11 @@ class RoadMap:
 
     @property
     def drivable_rings(self) -> tuple[Float64, ...]:
-        """All rings of the drivable area, as `mirror.metrics.safety.drivable_area_compliance` takes them."""
+        """All rings of the drivable area, in the form for `mirror.metrics.safety.drivable_area_compliance`."""
         return tuple(ring for area in self.drivable for ring in area.rings)
 
     def lanes_of(self, kinds: Iterable[LaneKind] = DRIVING) -> tuple[MapLane, ...]:
-        """Return the lanes of some kinds."""
+        """Return the lanes of given kinds."""
         wanted = frozenset(kinds)
         return tuple(lane for lane in self.lanes.values() if lane.kind in wanted)
 

@@ -81,7 +81,7 @@ class Rollout(Document):
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the canonical content, apart from the versions; it covers the files by their hashes."""
+        """SHA-256 of the canonical content without the versions; files are covered by their hashes."""
         # Rollouts that do not state the source of their map, or counts of views, keep the hash that they had before.
         unstated = {name for name in ("map_source", "views") if getattr(self, name) is None}
         plain = self.model_dump(mode="json", exclude={"versions", *unstated})

@@ -215,7 +215,7 @@ def read_scenario(path_or_name: str | Path) -> Scenario:
 
 
 def scenario_file(path_or_name: str | Path) -> str:
-    """Return the file of a scenario as messages name it: the path, or the name with ``.toml``."""
+    """Return the file of a scenario for messages: the path, or the name with ``.toml``."""
     text = str(path_or_name)
     return text if text.endswith(".toml") else f"{text}.toml"
 
@@ -241,7 +241,7 @@ def parse_scenario(data: bytes, file: str) -> Scenario:
 
 
 def write_scenario(path: str | Path, scenario: Scenario) -> None:
-    """Write a scenario as TOML, atomically. Values that are None are left out: they are the defaults.
+    """Write a scenario as TOML, atomically; values that are None, the defaults, are left out.
 
     Raises:
         DatasetError: the file cannot be written.

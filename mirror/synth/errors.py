@@ -42,7 +42,7 @@ class MountingError:
         _require(self, self.angle_deg >= 0.0 and self.distance_m >= 0.0, "angles and distances of at least 0")
 
     def draw(self, rng: np.random.Generator) -> Poses:
-        """Draw one error: one pose, to be applied in the camera's own frame."""
+        """Draw one error, as one pose to be applied in the camera's own frame."""
         turn = _draw_truncated_normal(rng, math.radians(self.angle_deg))
         shift = _draw_truncated_normal(rng, self.distance_m)
         return Poses.exp(np.concatenate([turn, shift])[None])

@@ -40,7 +40,7 @@ def unpack_secret_seed(text: str) -> int:
 
 
 def is_secret_seed(seed: int) -> bool:
-    """Return whether a seed is a secret one, or derived from a secret one."""
+    """Return whether a seed is secret, or derived from a secret seed."""
     return seed >> _BITS == 1
 
 

@@ -45,7 +45,7 @@ class _Shape:
 
 
 def write_calibration_page(check: CalibrationCheck, out: Path) -> None:
-    """Write the page: one HTML file without script or network.
+    """Write the page as one HTML file without script or network access.
 
     Args:
         check: the check.

@@ -181,7 +181,7 @@ def categories_figure(counts: Sequence[tuple[str, int]]) -> Figure | None:
 
 
 def place_figure(dataset: Dataset) -> Figure | None:
-    """Show one place of the scene with the most traversals in every traversal that passes it."""
+    """Show one place of the scene with the most traversals, in every traversal that passes the place."""
     for scene in _busiest_scenes(dataset):
         rows = dataset.where(scene=scene["scene_id"]).table("traversals").to_pylist()
         passages = choose_passages(same_place(dataset, rows), _MOST_PASSAGES)

@@ -73,14 +73,14 @@ def rig_images(frame: Frame, *, boxes: bool, width_px: int, against: Frame | Non
 
 
 def middle_frame(dataset: Dataset, traversal_id: str) -> Frame:
-    """Return the frame in the middle of a traversal, or the one before it if that has more images."""
+    """Return the middle frame of a traversal, or the frame before it if that one has more images."""
     frames = dataset.where(traversal=traversal_id).frames()
     middle = len(frames) // 2
     return max((frames[place] for place in {middle, max(middle - 1, 0)}), key=lambda frame: len(frame.images))
 
 
 def busiest_frame(dataset: Dataset, traversal_ids: Sequence[str]) -> Frame:
-    """Return the frame with the most cameras, and with the most boxes among these."""
+    """Return the frame with the most boxes among the frames with the most cameras."""
     view = dataset.where(traversal=traversal_ids)
     boxes = view.table("boxes", ["traversal_id", "timestamp_ns"])
     counts = Counter(zip(boxes.column("traversal_id").to_pylist(), boxes.column("timestamp_ns").to_pylist()))

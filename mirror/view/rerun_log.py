@@ -42,7 +42,7 @@ _CLASSES: Final = {kind: number for number, kind in enumerate(_MASK_COLOURS, sta
 
 @dataclass(frozen=True)
 class RerunOptions:
-    """Choice of the images of a dataset that are logged to rerun, and their width.
+    """Choice of the images of a dataset to log to rerun, and their width.
 
     Attributes:
         save: file to write (``.rrd``); None: the viewer is opened.

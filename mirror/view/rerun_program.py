@@ -23,7 +23,7 @@ _POLL_S: Final = 0.05
 
 
 def open_viewer(port: int, options: Sequence[str] = ()) -> subprocess.Popen[bytes]:
-    """Open rerun's viewer, which stays open after this process; wait until it listens.
+    """Open rerun's viewer, which stays open after this process, and wait until the viewer listens.
 
     Args:
         port: port of the viewer, on the loopback interface.

@@ -42,7 +42,7 @@ class StreetPath:
     row: Mapping[str, object]
 
     def view(self, number: int, width_px: int, height_px: int, *, left_m: float = 0.0) -> RenderView:
-        """Return the view of one image in another raster, from a place to its left.
+        """Return the view of one image in another raster, from a place shifted to the left.
 
         Args:
             number: the image.

@@ -93,7 +93,7 @@ class StreetViewer:
 
     @property
     def url(self) -> str:
-        """The address of the page, with the token without which nobody can open it."""
+        """The address of the page, with the token that is required to open it."""
         return self._guard.url(self.server.get_host(), self.server.get_port())
 
     @property

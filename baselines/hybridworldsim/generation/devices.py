@@ -45,7 +45,7 @@ def repeating_exactly(device: str) -> Iterator[None]:
 
 
 def require_counts(**counts: int) -> None:
-    """Check numbers of steps or threads, given by the names of their options.
+    """Check counts of steps or threads, given by option name.
 
     Raises:
         UsageError: one is below 1.

@@ -13,7 +13,7 @@ _PLAIN: Final = ContextVar("plain", default=False)
 
 
 def is_compiled(tensor: Tensor) -> bool:
-    """Return whether the compiled kernels compute with a tensor: it is on the CPU, and plain torch is not asked for."""
+    """Return whether the compiled kernels compute with a tensor: on the CPU, unless plain torch is requested."""
     return tensor.device.type == "cpu" and not _PLAIN.get()
 
 

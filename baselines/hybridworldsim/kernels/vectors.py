@@ -194,7 +194,7 @@ def transpose_channels(typing_context: Any, channels: Any) -> Any:
 
 @intrinsic
 def store_rgb(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
-    """Store the first three of each four elements from an index on, into a contiguous one-dimensional array."""
+    """Store the first three of every four elements, from an index on, in a contiguous one-dimensional array."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         lanes = [lane for lane in range(WIDTH) if lane % 4 < 3]

@@ -27,7 +27,7 @@ _MAX_IMAGES: Final = 8
 def fit_appearances(
     street: StreetModel, block: Block, run: Run, appearance: AppearancePolicy
 ) -> tuple[TrainedCamera, ...]:
-    """Add latents to a street for untrained traversals and cameras of its scene that see it.
+    """Add latents to a street for untrained traversals and cameras that see the street.
 
     Each latent begins as the nearest trained one; nothing else is optimised.
 

@@ -42,7 +42,7 @@ class Layers:
         return _traversals_with(self.dataset, kind, getattr(self, kind))
 
     def traversals_without(self, kind: Kind, traversals: Sequence[str]) -> list[str]:
-        """List the traversals among some that lack the layer of a kind; empty if no layer of that kind is read."""
+        """List the given traversals that lack the layer of a kind; empty if no layer of that kind is read."""
         return [] if getattr(self, kind) is None else sorted(set(traversals) - self.traversals_with(kind))
 
 

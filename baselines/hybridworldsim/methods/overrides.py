@@ -20,7 +20,7 @@ _ADAPTERS: Final[dict[type, TypeAdapter[Any]]] = {}
 
 
 def override_settings(settings: _Settings, overrides: Mapping[str, str]) -> _Settings:
-    """Replace some settings by others.
+    """Replace settings by given values.
 
     Args:
         settings: a dataclass, which may hold dataclasses.

@@ -66,7 +66,7 @@ class BlockTraining:
     held_out: Plan | None
 
     def previews(self, run: Run, reporter: ProgressReporter) -> list[Preview]:
-        """Return some training and held-out images of the block; a held-out image that cannot be read is left out."""
+        """Return some training and held-out images of the block, except held-out images that cannot be read."""
         groups = [("training", self.training.plan, self.views)]
         if self.held_out is not None:
             groups.append(("held-out", self.held_out, select_views(self.block, self.held_out.views)))

@@ -51,7 +51,7 @@ class AppearanceLatents(nn.Module):
         return self.drives[self._drives[source.traversal_id]] + self.sensors[row]
 
     def add(self, source: Source, latent: Tensor) -> None:
-        """Add a pair of traversal and camera with a latent (size,) fitted to it; a known pair gets the new latent."""
+        """Add a pair of traversal and camera with a fitted latent (size,); a known pair gets the new latent."""
         with torch.no_grad():
             self._add_row(source)
             self.drives, self.sensors = (

@@ -115,7 +115,7 @@ def divide(driven_m: Float64, size_m: float = SIZE_M, overlap: float = OVERLAP) 
 
 
 def select_views(block: Block, views: Sequence[RenderView], reach_m: float = REACH_M) -> tuple[RenderView, ...]:
-    """Select the views that a block is trained on: cameras in the block, and near cameras that see into it.
+    """Select the views that a block is trained on: of cameras in the block, and of near cameras that see into it.
 
     Args:
         block: the block.

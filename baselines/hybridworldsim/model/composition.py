@@ -21,7 +21,7 @@ from mirror.protocols.views.view import RenderView
 
 
 class Composition:
-    """Trained blocks as one street.
+    """Trained blocks, rendered as one street.
 
     Every anchor and every ground Gaussian is weighted by `partition` at its place. The weight does not depend on the
     camera, so that nothing changes when a camera crosses a boundary. Distant structures in a block's sky node are left
@@ -81,7 +81,7 @@ class Composition:
 
     @torch.inference_mode()
     def draw(self, view: RenderView, decoded: Decoded) -> StreetOutput:
-        """Draw decoded Gaussians in a view, which need not be the one that they were decoded for."""
+        """Draw decoded Gaussians in a view, which may differ from the view that they were decoded for."""
         if not decoded.splats:
             return _empty_render(view)
         return render(to_viewpoint(view, decoded.origin_m), decoded.splats)

@@ -73,7 +73,7 @@ def initial_street(initial: InitialGeometry, settings: Settings) -> StreetModel:
 
 
 def thin_points(points: Float64, size_m: float, max_count: int) -> Float64:
-    """Keep at most one of the points (N, 3) in a cell of a size; cells grow until at most `max_count` points remain."""
+    """Keep at most one point (N, 3) per cell; cells grow until at most `max_count` points remain."""
     if max_count < 1:
         return points[:0]
     while len(points):

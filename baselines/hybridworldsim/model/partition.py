@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def partition(places: Tensor, centres: Tensor, ramp_m: float) -> Tensor:
-    """Compute smooth weights of blocks: 1 in a block's own area, falling to 0 across the strips that it shares.
+    """Compute smooth weights of blocks: 1 in a block's own area, falling to 0 across strips shared with neighbours.
 
     Between two blocks the weight depends on the signed distance to the line midway between their centres, and is one
     half on it; with several blocks the products are normalised. The weights are smooth, so that nothing jumps where a

@@ -72,7 +72,7 @@ def export_gaussians(
     sky: Sky = "pull",
     reach_m: float = 150.0,
 ) -> ExportedGaussians:
-    """Fit Gaussians that do not depend on the view to a street's images for one camera on one drive.
+    """Fit view-independent Gaussians to a street's images in the appearance of one camera on one drive.
 
     Opacities, scales and rotations are means over the views, taken before the networks' last activations. Colours are
     spherical harmonics, fitted by least squares with a small penalty on all but the constant, because directions from a

@@ -53,7 +53,7 @@ class ConfirmedDepth:
 def confirm(
     reference: PosedDepth, others: Sequence[PosedDepth], *, max_px: float = 1.0, max_share: float = 0.01
 ) -> ConfirmedDepth:
-    """Compare a depth map with others.
+    """Compare a depth map with other depth maps.
 
     Args:
         reference: the depth map.
@@ -198,7 +198,7 @@ class VoxelThinner:
         self._occupied: Int64 = np.empty(0, np.int64)
 
     def thin(self, cloud: PointCloud) -> PointCloud:
-        """Return the point with most views of each cell that is not occupied yet, and mark these cells as occupied."""
+        """Return the point with most views of each unoccupied cell, and mark these cells as occupied."""
         if not len(cloud):
             return cloud
         key = _hash_cells(cloud.position_m, self._side)

@@ -71,7 +71,7 @@ class FittedGround:
 
 
 def read_driven_poses(dataset: Dataset) -> Poses:
-    """Read ``world_SE3_ego`` of all traversals of a dataset view, one after the other, from its pose layer."""
+    """Read ``world_SE3_ego`` of all traversals of a dataset view, concatenated, from its pose layer."""
     frames = [dataset.where(traversal=name).frames() for name in dataset.traversals()]
     tracks = [Poses.identity(0), *(frames_of_one[0].track[1] for frames_of_one in frames if len(frames_of_one))]
     return Poses.unchecked(

@@ -20,7 +20,7 @@ from hybridworldsim.rasterizer.rows import scatter_rows, take_rows
 
 @dataclass(frozen=True, eq=False)
 class BlendedView:
-    """The Gaussians of one image as they were blended.
+    """The Gaussians of one image, in the form in which they were blended.
 
     Attributes:
         scene_camera: index of the scene and index of the camera.

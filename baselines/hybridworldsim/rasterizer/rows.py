@@ -45,7 +45,7 @@ def take_rows(table: Tensor, ids: Tensor) -> Tensor:
 
 
 def copy_rows(table: Tensor, ids: Tensor) -> Tensor:
-    """Take rows of a table as `take_rows`, but always copy them, so that either can be modified independently."""
+    """Copy rows of a table; unlike `take_rows`, never return the table itself."""
     taken = take_rows(table, ids)
     if taken is not table:
         return taken

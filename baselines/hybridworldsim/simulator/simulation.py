@@ -83,7 +83,7 @@ class Simulation:
         return self.world.now
 
     def advance(self, action: Action) -> Ending | None:
-        """Advance by one step; returns why the rollout ends, or None.
+        """Advance by one step; returns the reason why the rollout ends, or None.
 
         Raises:
             UsageError: the action is not valid; the state is that before it.

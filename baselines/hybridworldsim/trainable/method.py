@@ -87,7 +87,7 @@ class MovableMethod(TrainableMethod, Protocol):
     """A `TrainableMethod` that computes on any device: for the capability `takes_device` of its method."""
 
     def to(self, device: str) -> TrainableMethod:
-        """Return the untrained model on a device, as torch names it; its optimisers are made there."""
+        """Return the untrained model on a device, named as in torch, with its optimisers made there."""
         ...
 
 

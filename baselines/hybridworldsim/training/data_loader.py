@@ -156,7 +156,7 @@ class NoSupervisionError(DatasetError):
 def stream_images(
     images: TrainingImageCache, views: Sequence[RenderView], seed: int, first: int
 ) -> Generator[TrainingImage, None, None]:
-    """Yield training images without end, in the order of `shuffled_indices`; a thread opens the next ones.
+    """Yield training images without end, in the order of `shuffled_indices`, while a thread opens the next ones.
 
     Raises:
         NoSupervisionError: no image has a pixel to learn from.

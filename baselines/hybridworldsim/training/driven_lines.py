@@ -80,7 +80,7 @@ def _trees(driven: Iterable[tuple[str, Sequence[Sequence[float] | Float64]]]) ->
 
 
 def densify_line(places: Float64) -> Float64:
-    """Insert places into a line (N, 3), so that neighbours are at most half a metre apart."""
+    """Insert places into a line (N, 3), so that consecutive places are at most half a metre apart."""
     steps = np.diff(places, axis=0)
     counts = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) / _STEP_M), 1.0).astype(np.int64)
     ends = np.repeat(counts.cumsum(), counts)

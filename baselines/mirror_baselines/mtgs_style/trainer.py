@@ -26,7 +26,7 @@ def make(initial: InitialGeometry, settings: MtgsStyle) -> SplattingTrainer:
 
 
 def make_empty(sources: Sequence[Source], settings: MtgsStyle) -> SplattingRenderer:
-    """Make a model without Gaussians, which renders a trained model once it has its parameters.
+    """Make a model without Gaussians, to render a trained model once its parameters are set.
 
     Args:
         sources: traversals and cameras of the training images.

@@ -28,7 +28,7 @@ def make(initial: InitialGeometry, settings: OmnireStyle) -> SplattingTrainer:
 
 
 def make_empty(sources: Sequence[Source], settings: OmnireStyle) -> SplattingRenderer:
-    """Make a model without Gaussians, which renders a trained model once it has its parameters.
+    """Make a model without Gaussians, to render a trained model once its parameters are set.
 
     Args:
         sources: traversals and cameras of the training images.

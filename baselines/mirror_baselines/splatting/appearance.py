@@ -47,7 +47,7 @@ class AppearanceModel(nn.Module):
         return {"shN": torch.zeros(count, (self.sh_degree + 1) ** 2 - 1, 3)}
 
     def bands(self, source: Source, degree: int) -> list[tuple[str, int, int]]:
-        """Return the tables that sum to a source's spherical harmonics: name, first coefficient, and one past the last.
+        """Return the tables that form a source's spherical harmonics: name, first coefficient, and end of range.
 
         Args:
             source: traversal and camera of the appearance.

@@ -39,7 +39,7 @@ def entry_file(entry: Entry) -> str:
 
 
 def encode_entry(entry: Entry) -> bytes:
-    """Encode an entry as the board has it."""
+    """Encode an entry in the form in which the board stores it."""
     return (json.dumps(entry.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n").encode()
 
 

@@ -55,7 +55,7 @@ def track_layer(
     version: str | None = None,
     progress: ProgressReporter | None = None,
 ) -> TrackingReport:
-    """Track a layer of boxes; the tracks become the layer ``<source>-tracks@<version>`` beside it.
+    """Track a layer of boxes, and write the tracks as the layer ``<source>-tracks@<version>``.
 
     Stationary objects are merged across the traversals of a scene. Poses are those of the view's pose layer.
 

@@ -29,7 +29,7 @@ _HEIGHT_S: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ObjectTrack:
-    """One object at the F frames in which it exists.
+    """One object, at the F frames in which it exists.
 
     Attributes:
         track_id: its id in the traversal.

@@ -179,7 +179,7 @@ def adjust_rigs(
 
 
 class Adjuster:
-    """The equations of some rigs."""
+    """The equations of the adjustment of some rigs."""
 
     def __init__(self, rigs: MovingRigs, prior: RefinementPrior) -> None:
         self.rigs, self.prior = rigs, prior

@@ -19,7 +19,7 @@ _LENS: Final = ("fx_px", "fy_px", "cx_px", "cy_px")
 
 
 def refined_layer(view: Dataset, traversal_id: str, version: str, inputs: Mapping[str, str]) -> DerivedLayer:
-    """Return the layer ``refined@VERSION`` of calibrations of one traversal, which may be missing.
+    """Return the layer ``refined@VERSION`` of a traversal's calibrations; the layer may be missing.
 
     Args:
         view: the dataset.

@@ -30,7 +30,7 @@ _PARTS: Final = ("uv_px", "scale_px", "descriptors")
 
 @dataclass
 class TraversalImages:
-    """The images of one traversal that are used, with their features.
+    """The used images of one traversal, with their features.
 
     Attributes:
         traversal_id: the traversal.

@@ -30,7 +30,7 @@ _TABLE_FILES: Final = (".parquet", ".json", ".jsonl")
 
 
 class ImageFile(NamedTuple):
-    """A file, or a part of one, that shows an image.
+    """A file, or a part of a file, that shows an image.
 
     Attributes:
         key: the image.

@@ -82,7 +82,7 @@ def inspect_files(
     *,
     stated: Mapping[str, str] | None = None,
 ) -> Inspection:
-    """Hash files and their parts, and compare them with the content that must not leave.
+    """Hash files and their parts, and compare them with the content that must stay in the dataset.
 
     Args:
         read: reads a file.

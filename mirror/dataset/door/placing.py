@@ -66,7 +66,7 @@ def is_same_file(source: Path, target: Path) -> bool:
 
 
 def hash_file(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal; it is read in parts, because videos are large.
+    """Return the SHA-256 of a file in hexadecimal; the file is read in parts, as videos are large.
 
     Raises:
         OSError: it cannot be read.

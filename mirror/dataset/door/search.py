@@ -48,7 +48,7 @@ class ByteSearch:
         self._table[_hash(np.array([window], np.uint64))] = True
 
     def find(self, data: bytes) -> Iterator[tuple[int, int, str]]:
-        """Yield the first byte, length and SHA-256 of each string that occurs in some bytes."""
+        """Yield the first byte, length and SHA-256 of each added string that occurs in the given bytes."""
         if not self._anchors:
             return
         for phase in range(_WINDOW):

@@ -124,7 +124,7 @@ def pixel_hash(pixels: UInt8) -> str:
 
 
 def video_packets(data: bytes) -> Iterator[tuple[int | None, str]]:
-    """Yield the time stamp and SHA-256 of each packet of a video; nearly empty ones are left out."""
+    """Yield the time stamp and SHA-256 of each packet of a video, except nearly empty packets."""
     import av
 
     with av.open(io.BytesIO(data), "r") as container:

@@ -28,7 +28,7 @@ def encode_mask(mask: npt.ArrayLike) -> bytes:
 
 
 def is_binary(data: bytes) -> bool:
-    """Return whether an image is a grey one of 8 bits, whose pixels are 0 and 255."""
+    """Return whether an image is grey with 8 bits, and its pixels are only 0 and 255."""
     pixels = _decode(data)
     return (
         pixels is not None and pixels.ndim == 2 and pixels.dtype == np.uint8 and bool(np.isin(pixels, (0, 255)).all())

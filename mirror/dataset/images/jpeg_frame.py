@@ -15,7 +15,7 @@ _MOST_PIXELS: Final = 1 << 30
 
 
 class FormatError(Exception):
-    """The bytes violate the format, or use a part of it that no camera uses."""
+    """The bytes violate the format, or use a part of the format that no camera uses."""
 
 
 @dataclass

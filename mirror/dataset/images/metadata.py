@@ -82,7 +82,7 @@ def _clean(data: bytes, file: str | PurePath) -> tuple[bytes, set[str]]:
 
 
 def read_orientation(data: bytes) -> int:
-    """Return the EXIF orientation of a JPEG, 1 to 8; 1 where it has none, or one that is not valid."""
+    """Return the EXIF orientation of a JPEG, 1 to 8; 1 if it is missing or invalid."""
     if not data.startswith(b"\xff\xd8"):
         return 1
     try:

@@ -65,7 +65,7 @@ class IndexInputs:
 
 
 def read_inputs(store: Store) -> IndexInputs:
-    """Read the small files that list all others: manifests, drive documents, rigs and regions of interest.
+    """Read the small files that list all other files: manifests, drive documents, rigs and regions of interest.
 
     Raises:
         DatasetError: a traversal in a drive's manifest is missing, has another hash, or has an unknown scene.

@@ -47,7 +47,7 @@ def write_scene_tables(
     traversals: Iterable[tuple[TraversalInput, Mapping[str, Any]]],
     add_traversal: Callable[[Mapping[str, Any]], None],
 ) -> SceneTables:
-    """Derive the tables of one scene, traversal by traversal. Memory holds the tables of one traversal at a time.
+    """Derive the tables of one scene, traversal by traversal, with one traversal's tables in memory at a time.
 
     Args:
         layout: the dataset.

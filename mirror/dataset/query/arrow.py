@@ -68,7 +68,7 @@ def to_arrow_strings(values: Iterable[str]) -> pa.StringArray:
 
 
 def is_member(array: pa.Array | pa.ChunkedArray, values: frozenset[str]) -> Bool:
-    """Mark the rows (N,) of a column of strings or dictionaries that hold one of some values."""
+    """Mark the rows (N,) of a column of strings or dictionaries that hold one of the given values."""
     if isinstance(array, pa.ChunkedArray):
         return np.concatenate([*(is_member(chunk, values) for chunk in array.chunks), np.empty(0, np.bool_)])
     if not pa.types.is_dictionary(array.type):

@@ -53,7 +53,7 @@ class RowGroups:
 
 
 class Catalog:
-    """The global tables of an index and the row groups of the other tables. All views of a dataset share it.
+    """The global tables of an index and the row groups of the other tables, shared by all views of a dataset.
 
     Args:
         store: the dataset's files.

@@ -10,7 +10,7 @@ from mirror.errors import UsageError
 
 
 def require_known(what: str, value: str, known: Iterable[str]) -> None:
-    """Refuse a value that is not one of the known ones.
+    """Refuse a value that is not among the known values.
 
     Args:
         what: kind of the value, such as ``scene``.

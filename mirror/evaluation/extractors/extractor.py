@@ -33,7 +33,7 @@ class ObjectExtractor(Protocol):
         """
 
     def fingerprint(self, name: str) -> str:
-        """Hash the files that the mask of an edited render depends on; empty if it depends on the renders alone.
+        """Hash the files that the mask of an edited render depends on; empty if only the renders matter.
 
         Args:
             name: path of the edited render in the submission.

@@ -57,7 +57,7 @@ class MaskFiles:
         return np.asarray((mask > 127) & counted)
 
     def fingerprint(self, name: str) -> str:
-        """Hash the mask; empty if it is missing, which `extract` reports."""
+        """Hash the mask; empty if the mask is missing, which `extract` reports."""
         file = self._file(name)
         return file_sha256(file) if file.is_file() else ""
 

@@ -66,7 +66,7 @@ class EditingScorer:
         return jobs
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
-        """Compute the figures of one view: all variants of the IoU, and those against the exact truth."""
+        """Compute the figures of one view: all variants of the IoU, and the figures against the exact truth."""
         view, background = job.views
         edit = view.edits[0]
         scored = inputs.scored_mask(view) & ~_occluder_mask(view, edit, inputs)

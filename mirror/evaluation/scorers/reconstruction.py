@@ -109,7 +109,7 @@ def _stand_in(metric: LpipsMetric) -> str:
 
 
 def find_score(values: Values, name: str) -> Score:
-    """Return a job's value of one metric; NaN if it has none."""
+    """Return a job's value of one metric; NaN without a value."""
     value, reason = values.get(name), values.get(f"{name}.reason")
     return Score(math.nan if value is None else float(value), None if reason is None else str(reason))
 

@@ -27,7 +27,7 @@ MOST_FRAMES_PER_SECOND: Final = 1e6
 
 
 class SubmittedMethod(Document):
-    """The method that made the renders, as its authors name it.
+    """The method that made the renders, described by its authors.
 
     Attributes:
         name: name of the method on the leaderboard.
@@ -65,7 +65,7 @@ LEAST_COSTS: Final = {"model_bytes": 1, "driven_m": 1.0, "training_s": 0.01}
 
 
 class Runtime(Document):
-    """Time and memory that the method needs, as its authors measured them: stated figures, within plausible bounds.
+    """Time and memory that the method needs, measured by its authors, within plausible bounds.
 
     Attributes:
         device: name of the processor.

@@ -33,7 +33,7 @@ _SMALLEST_SCALE: Final = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Image points, and where the camera model defines them.
+    """Image points, with a mask of where the camera model defines them.
 
     Attributes:
         uv_px: (..., 2) pixels; NaN where the model does not define them: a point that is not finite, behind the camera
@@ -48,13 +48,13 @@ class Projection:
 
     @property
     def defined(self) -> Bool:
-        """(...) True where the model defines a pixel, be it inside the raster or not."""
+        """(...) True where the model defines a pixel, inside or outside the raster."""
         return np.isfinite(self.uv_px[..., 0])
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Directions of pixels' rays, and where the camera model defines them.
+    """Directions of pixels' rays, with a mask of where the camera model defines them.
 
     Attributes:
         direction: (..., 3) unit vectors in the camera frame; NaN where not valid.

@@ -51,7 +51,7 @@ class Fisheye:
         return x * scale, y * scale, inside
 
     def unproject(self, u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, Bool]:
-        """Convert image coordinates to unit rays, and mark where there is one."""
+        """Convert image coordinates to unit rays, and mark where a ray exists."""
         radius = np.sqrt(u * u + v * v)
         reachable = radius < self._largest
         wanted = np.where(reachable, radius, 0.0)

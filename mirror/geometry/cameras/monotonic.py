@@ -18,7 +18,7 @@ _LEAST_RECIPROCAL: Final = 1e-9
 
 
 def first_positive_root(coefficients: Float64) -> float:
-    """Return the smallest positive root of a polynomial that is positive at zero; infinity if there is none.
+    """Return the smallest positive root of a polynomial that is positive at zero; infinity without such a root.
 
     Args:
         coefficients: (D + 1,) ascending, the first positive.

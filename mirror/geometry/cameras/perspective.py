@@ -79,7 +79,7 @@ class Perspective:
         return x * factor + p2 * squared, y * factor + p1 * squared, inside
 
     def unproject(self, u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, Bool]:
-        """Convert image coordinates to unit rays, and mark where there is one."""
+        """Convert image coordinates to unit rays, and mark where a ray exists."""
         x, y, inside = (u, v, np.isfinite(u + v)) if self.straight else self._undistort(u, v)
         z = 1.0 / np.sqrt(1.0 + x * x + y * y)
         return x * z, y * z, z, inside

@@ -33,7 +33,7 @@ class Threshold:
     strict: bool
 
     def met(self, passes: TableRows) -> Bool:
-        """Return a mask (N,), True where the figure fulfils it."""
+        """Mark (N,) where the figure fulfils the threshold."""
         figure = passes.floats(self.column)
         return figure > self.limit if self.strict else figure >= self.limit
 
@@ -42,7 +42,7 @@ class Threshold:
 
 
 def thresholds(trigger: TriggerOptions) -> tuple[Threshold, ...]:
-    """Return thresholds in the order in which the trigger asks them: the first that fails is named in the ledger."""
+    """Return thresholds in the order of the trigger's tests: the ledger names the first that fails."""
     return (
         Threshold("min_duration", "duration_s", trigger.min_duration_s, strict=False),
         Threshold("min_path", "path_m", trigger.min_path_m, strict=False),

@@ -17,7 +17,7 @@ HULL_VARIANTS: Final[tuple[HullVariant, ...]] = get_args(HullVariant)
 
 
 class RegionIou(Score):
-    """The overlap of two regions of an image: a float in [0, 1], NaN where there is nothing to compare.
+    """The overlap of two regions of an image: a float in [0, 1], or NaN without anything to compare.
 
     Args:
         value: the figure.

@@ -84,7 +84,7 @@ class DetectionConfig:
         return cls(**given)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as JSON has them."""
+        """Return the settings as JSON values."""
         return {
             "class_range": dict(self.class_range),
             "dist_fcn": "center_distance",

@@ -15,7 +15,7 @@ _PAIRS_AT_ONCE = 1 << 22
 
 @dataclass(frozen=True, eq=False)
 class MatchingTable:
-    """One class's predictions by falling confidence, and the true boxes of their sample within the largest threshold.
+    """One class's predictions by falling confidence, with the true boxes of their sample within reach.
 
     Attributes:
         predictions: (P,) rows of the predictions; of equal scores the later row comes first, as in nuScenes.

@@ -157,7 +157,7 @@ def score_tables(
 
 
 class NuScenesAccumulator:
-    """`nuscenes_detection` of samples that come one after the other.
+    """An accumulator of `nuscenes_detection`, for samples that come one after the other.
 
     Args:
         config: classes, thresholds, weights.

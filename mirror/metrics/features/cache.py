@@ -13,7 +13,7 @@ from mirror.arrays import AnyArray, Float32
 
 
 class FeatureCache:
-    """A folder of features, one small file each; safe for several processes, and to delete at any time.
+    """A folder of features, one small file each, that several processes may use and that may be deleted at any time.
 
     Args:
         folder: is created.

@@ -83,7 +83,7 @@ def extract(extractor: Extractor, items: Iterable[Pixels], cache: FeatureCache |
 
 
 def identity_of_device(device: str) -> str:
-    """Return what a device adds to an extractor's identity: nothing for the CPU, whose features are the reference."""
+    """Return the suffix that a device adds to an extractor's identity: empty for the CPU, the reference."""
     return "" if device == CPU else f" on {hardware_name(device)}"
 
 

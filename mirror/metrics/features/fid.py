@@ -31,7 +31,7 @@ _SIDE = 299
 
 @dataclass(frozen=True)
 class Fid:
-    """A Fréchet inception distance and all that it depends on.
+    """A Fréchet inception distance with everything that it depends on.
 
     Attributes:
         name: ``fid``, or the name of another network.

@@ -32,7 +32,7 @@ _ENOUGH = 400
 
 @dataclass(frozen=True)
 class Fvd:
-    """A Fréchet video distance and all that it depends on.
+    """A Fréchet video distance with everything that it depends on.
 
     Attributes:
         name: ``fvd``, or the name of another network.

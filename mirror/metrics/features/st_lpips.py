@@ -25,7 +25,7 @@ StLpipsNet = Literal["alex", "vgg"]
 def load_st_lpips(
     net: StLpipsNet = "alex", resolver: WeightResolver | None = None, device: str = CPU
 ) -> PerceptualDistance:
-    """Return the network behind ST-LPIPS, from the weights in the ``stlpips-pytorch`` package; none of its code is run.
+    """Return the network behind ST-LPIPS, with the ``stlpips-pytorch`` package's weights and none of its code.
 
     Raises:
         WeightsUnavailableError: the file is not there or is another one.

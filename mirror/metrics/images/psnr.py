@@ -131,7 +131,7 @@ class Psnr:
         self._count += other._count
 
     def compute(self) -> PsnrSummary:
-        """Return the summary so far; it does not depend on the order of images."""
+        """Return the summary so far, which does not depend on the order of images."""
         pooled = _decibels(math.fsum(self._squares), self._count) if self.scores else summarise([]).mean
         return PsnrSummary(summarise(self.scores), pooled)
 

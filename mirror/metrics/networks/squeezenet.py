@@ -9,7 +9,7 @@ from mirror.metrics.networks.trunk import Trunk, convolution
 
 
 class Fire(nn.Module):
-    """A 1x1 convolution that narrows, then 1x1 and 3x3 ones side by side."""
+    """A 1x1 convolution that narrows, then a 1x1 and a 3x3 convolution side by side."""
 
     def __init__(self, inputs: int, narrow: int, wide: int) -> None:
         super().__init__()

@@ -101,7 +101,7 @@ def _segments(rings: Sequence[npt.ArrayLike], origin: Float64) -> tuple[Float64,
 
 
 def inside_area(points_m: npt.ArrayLike, rings: Sequence[npt.ArrayLike]) -> Bool:
-    """Mark the points (P, 2) that lie in an area; rings as `drivable_area_compliance` takes them."""
+    """Mark the points (P, 2) that lie in an area; see `drivable_area_compliance` for the rings."""
     from mirror.metrics.safety.drivable_area_kernels import signed_distances
 
     points = np.asarray(points_m, np.float64)

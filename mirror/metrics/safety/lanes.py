@@ -149,7 +149,7 @@ def driven_steps(log: StateLog) -> Float64:
 
 
 def driven_while(log: StateLog, holds: Bool) -> float:
-    """Return the distance driven while a condition (T,) holds; a step at one end of which it holds counts half."""
+    """Return the distance driven while a condition (T,) holds; a step with only one end in it counts half."""
     steps, weight = driven_steps(log), 0.5 * (holds[1:].astype(np.float64) + holds[:-1])
     return float((steps * weight).sum())
 

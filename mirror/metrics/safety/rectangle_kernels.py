@@ -64,7 +64,7 @@ def contact_time(
     length_b: float,
     width_b: float,
 ) -> float:
-    """Return the time in [0, inf] until two rectangles that move without turning touch; 0: they do now, inf: never.
+    """Return the time in [0, inf] until two rectangles that move without turning touch; 0: now, inf: never.
 
     It is exact: two convex polygons that do not turn overlap while their shadows overlap on each axis of either.
 

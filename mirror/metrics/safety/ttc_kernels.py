@@ -128,7 +128,7 @@ def _least_in_step(
 def least_times_to_collision(
     times_s: Float64, states: Float64, halves: Float64, present: Bool, horizon_s: float
 ) -> tuple[Float64, Float64]:
-    """Return the least time to collision (N,) of the ego with each agent, and the times (N,) of these instants.
+    """Return the least time to collision (N,) of the ego with each agent, and when it occurs (N,).
 
     Both are inf where no value within the horizon exists, and for the ego. Arguments are those of `first_contacts`.
     """

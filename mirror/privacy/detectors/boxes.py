@@ -28,7 +28,7 @@ def suppress(boxes: Float64, scores: Float64, overlap: float) -> Int64:
 
 
 def overlaps(boxes: Float64, others: Float64) -> Float64:
-    """Return the intersection over union (N, M) of boxes (N, 4) and others (M, 4)."""
+    """Return the intersection over union (N, M) of boxes (N, 4) with boxes (M, 4)."""
     low = np.maximum(boxes[:, None, :2], others[None, :, :2])
     high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
     common: Float64 = np.maximum(high - low, 0.0).prod(axis=2)
@@ -37,7 +37,7 @@ def overlaps(boxes: Float64, others: Float64) -> Float64:
 
 
 def to_regions(boxes: Float64, scores: Float64, kind: Kind, source: str, size_px: tuple[int, int]) -> list[Region]:
-    """Return the regions of boxes (N, 4) within a raster of width and height; those outside of it are left out."""
+    """Return the regions of boxes (N, 4) within a raster of width and height, without boxes outside the raster."""
     limits = np.array([*size_px, *size_px], np.float64)
     clipped = np.clip(np.nan_to_num(boxes, nan=-1.0), 0.0, limits)
     sound = np.isfinite(boxes).all(axis=1) & (clipped[:, 2:] > clipped[:, :2]).all(axis=1)

@@ -111,7 +111,7 @@ class ChinesePlates:
 
 
 def find_agreed(boxes: Float64, scores: Float64) -> Bool:
-    """Mark boxes (N,) that are kept: with a score above `_SURE`, or likely ones that several boxes agree with."""
+    """Mark boxes (N,) to keep: with a score above `_SURE`, or likely boxes that several others agree with."""
     if not len(boxes):
         return np.zeros(0, np.bool_)
     count = (overlaps(boxes, boxes) > _AGREEMENT).sum(axis=1)

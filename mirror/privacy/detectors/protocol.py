@@ -63,7 +63,7 @@ class DetectorOptions:
 
 @dataclass(frozen=True)
 class DetectorKind:
-    """An entry of the registry: the entry points of the group ``mirror.detectors`` are objects of this class.
+    """An entry of the registry, and the class of the entry points of the group ``mirror.detectors``.
 
     Attributes:
         kind: what the detector finds.

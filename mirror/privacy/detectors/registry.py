@@ -23,7 +23,7 @@ _FORM: Final = re.compile(r"(?P<name>[\w\-]+)(=(?P<file>[^@]+))?(@(?P<regions>[\
 
 @dataclass(frozen=True)
 class DetectorChoice:
-    """One detector, as a user chose it.
+    """One detector as chosen by a user.
 
     Attributes:
         name: name of its entry point.

@@ -77,7 +77,7 @@ class ReviewSession:
         return sum(record.out_sha256 in self.reviews for record in self.sample)
 
     def say(self, out_sha256: str, verdict: str) -> None:
-        """Append a verdict to the log; it is on disk when this returns.
+        """Append a verdict to the log; the verdict is on disk on return.
 
         Raises:
             ValidationError: there is no such verdict.

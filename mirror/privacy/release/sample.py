@@ -70,7 +70,7 @@ def miss_bound(misses: int, images: int) -> float:
 
 
 def read_reviews(path: Path) -> dict[str, Review]:
-    """Return the reviews by the hash of the redacted image; empty: there is no file.
+    """Return the reviews by the hash of the redacted image; empty without a file.
 
     Raises:
         DatasetError: a line is broken.

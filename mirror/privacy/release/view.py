@@ -22,7 +22,7 @@ ImageName = tuple[str, str, int]
 
 
 class ReleaseView:
-    """A release as the rules read it: documents, tables and files.
+    """A release in the form in which the rules read it: documents, tables and files.
 
     Args:
         root: folder of the release.

@@ -15,7 +15,7 @@ from mirror.schema.documents import Document
 
 
 def to_pose(numbers: Poses | tuple[float, ...]) -> Poses:
-    """Make one pose from its seven numbers ``qw qx qy qz tx_m ty_m tz_m``; a pose is returned as it is."""
+    """Make one pose from its seven numbers ``qw qx qy qz tx_m ty_m tz_m``; return a pose unchanged."""
     if isinstance(numbers, Poses):
         return numbers
     return Poses(np.array([numbers[:4]]), np.array([numbers[4:]]))

@@ -74,7 +74,7 @@ class Assembly:
 def assemble_recording(
     out: Path, poses: Recording, cameras: Sequence[GivenCamera], names: DriveNames, tz: str | None = None
 ) -> Assembly:
-    """Write a recording. It is complete or absent: it gets its name when all is written.
+    """Write a recording, which gets its name only when it is complete.
 
     Args:
         out: folder of the recording, absent or empty.

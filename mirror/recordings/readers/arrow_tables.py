@@ -33,7 +33,7 @@ def read_feather(file: Path, schema: pa.Schema) -> pa.Table:
 
 
 def read_parquet(file: Path, schema: pa.Schema) -> pa.Table:
-    """Read some columns of a Parquet file; only these are decoded. See `read_feather`.
+    """Read some columns of a Parquet file, decoding only these; see `read_feather`.
 
     Raises:
         RecordingError: as `read_feather`.

@@ -35,7 +35,7 @@ def choose_drive(names: Sequence[str], name: str | None, folder: Path) -> str:
 
 
 def one_of(options: Mapping[str, str], name: str, values: Sequence[str], path: Path) -> str:
-    """Return the value of an option; the first one is the default.
+    """Return the value of an option, by default the first of the allowed values.
 
     Raises:
         RecordingError: the option has another value.

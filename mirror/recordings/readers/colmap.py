@@ -62,7 +62,7 @@ class ColmapReader:
         return path.is_dir() and (path / "images").is_dir() and bool(model_folders(path))
 
     def drives(self, path: Path) -> Sequence[str]:
-        """Return the names of the drives; one drive has no name of its own."""
+        """Return the names of the drives; images outside folders of drives form one drive with a fixed name."""
         folder = next(iter(model_folders(path)), "")
         return list(_by_drive(read_model(path, folder).images.name))
 
@@ -292,7 +292,7 @@ class ColmapRecording:
 
     @property
     def rig(self) -> RigInfo:
-        """The cameras; the one with most images is the reference camera."""
+        """The cameras; the camera with the most images is the reference camera."""
         names = list(dict.fromkeys(sensor.name for sensor in self._sensors))
         rig_id = f"colmap_{self.info.drive_id}"[:120]
         return RigInfo(rig_id, tuple(CameraInfo(name, name) for name in names), names[0])
@@ -303,7 +303,7 @@ class ColmapRecording:
         return require_files_inside(self.path, [prefix + name for name in self._names], file=self.model.files["images"])
 
     def named_files(self) -> Sequence[tuple[str, Path]]:
-        """Return the cameras, images and frames of the model, and the drive's images, also missing ones.
+        """Return the model's cameras, images and frames, and the drive's images, including missing ones.
 
         The points are not read.
         """
@@ -323,7 +323,7 @@ class ColmapRecording:
         return self.named_files()
 
     def track(self) -> Track:
-        """Return the ego's pose at every image; of images at one instant, the reference camera's counts."""
+        """Return the ego's pose at every image; for images at one instant, the reference camera's pose counts."""
         poses, stamps = [], []
         for sensor in self._sensors:
             poses.append(self._world_SE3_camera[sensor.rows] @ sensor.ego_SE3_camera.inverse())
@@ -338,7 +338,7 @@ class ColmapRecording:
         return Track(times, x_m=x, y_m=y, height_m=z, rotation=rotation, file=file)
 
     def calibrations(self) -> pa.Table:
-        """Return one row for each camera of COLMAP; several of one name are valid one after the other."""
+        """Return one row for each COLMAP camera; rows with the same name are valid one after the other."""
         calibrations: list[tuple[Stage, Calibration]] = []
         names = [sensor.name for sensor in self._sensors]
         for sensor in self._sensors:

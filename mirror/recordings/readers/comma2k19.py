@@ -56,7 +56,7 @@ class Comma2k19Reader:
     expects = "a route folder of numbered segments with global_pose/frame_positions, or one such segment"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the folder is a segment with an array of positions, or holds one."""
+        """Return whether the folder is a segment with an array of positions, or holds such a segment."""
         return path.is_dir() and any(_has_positions(path, segment) for segment in _segments(path))
 
     def open(self, path: Path, options: Mapping[str, str]) -> Comma2k19Recording:

@@ -162,7 +162,7 @@ class DgpRecording:
 
     @property
     def rig(self) -> RigInfo:
-        """The cameras under their own names; the first one is the reference camera."""
+        """The cameras under their own names; the first camera is the reference camera."""
         cameras = tuple(CameraInfo(name, name) for name in self._cameras)
         return RigInfo(f"dgp_{self._data[0].calibration[:8]}", cameras, self._cameras[0])
 

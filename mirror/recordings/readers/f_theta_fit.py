@@ -35,7 +35,7 @@ class FThetaFit:
 
 
 def sample_directions(largest_angle_rad: float, angles: int = 96, turns: int = 48) -> Float64:
-    """Return unit vectors (N, 3) up to an angle from z, on circles around it."""
+    """Return unit vectors (N, 3) on circles around z, up to an angle from z."""
     angle = np.linspace(largest_angle_rad / angles, largest_angle_rad, angles)[:, None]
     turn = np.linspace(0.0, 2.0 * np.pi, turns, endpoint=False)
     across = np.sin(angle)

@@ -184,7 +184,7 @@ class NcoreRecording:
 
     @cached_property
     def rig(self) -> RigInfo | None:
-        """The cameras that have images; a front camera is the reference camera if there is one."""
+        """The cameras that have images; the reference camera is a front camera if there is one."""
         names = self._cameras
         if not names:
             return None

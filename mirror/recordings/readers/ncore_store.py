@@ -300,7 +300,7 @@ class NcoreStores:
             ]
 
     def cuboids_path(self) -> Path:
-        """Return the store of the boxes, or of the poses where there are none."""
+        """Return the store of the boxes; without boxes, the store of the poses."""
         from ncore.data.v4 import CuboidsComponent
 
         found = self._choose("cuboids", CuboidsComponent.Reader)

@@ -37,7 +37,7 @@ def is_database(file: Path) -> bool:
 
 @contextmanager
 def open_database(file: Path) -> Iterator[Database]:
-    """Open a database for reading; nothing is written beside it.
+    """Open a database for reading, without writing any file beside it.
 
     Raises:
         RecordingError: the file is no regular file, or not a database, or damaged.
@@ -94,7 +94,7 @@ class Database:
         return self._connection.execute(query).fetchall()
 
     def has_tables(self, names: Sequence[str]) -> bool:
-        """Return whether all of these tables exist."""
+        """Return whether all of the given tables exist."""
         found = {row[0] for row in self._connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         return set(names) <= found
 

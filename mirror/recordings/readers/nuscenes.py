@@ -73,7 +73,7 @@ class NuscenesReader:
     expects = "a nuScenes folder with v1.0-mini, v1.0-trainval or v1.0-test, or FOLDER/SCENE"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the folder holds a version folder with tables, or is one."""
+        """Return whether the folder is a version folder with tables, or holds one."""
         return bool(_version_folders(path))
 
     def drives(self, path: Path) -> Sequence[str]:
@@ -377,7 +377,7 @@ _LIGHT: Final = ("day", "dusk", "night")
 
 
 def parse_description(description: str) -> tuple[str | None, str | None]:
-    """Return the light and weather in the words of a description; None where it does not state them.
+    """Return the light and weather that a description's words state; None for what they do not state.
 
     A phrase between commas may be one of MIRROR's words; the dataset's own descriptions mention night and rain.
     """

@@ -65,7 +65,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class SensorData:
-    """The rows of ``sample_data`` of all scenes or of one, sorted by scene, sensor and time; N rows.
+    """The N rows of ``sample_data`` of one scene or all scenes, sorted by scene, sensor and time.
 
     Attributes:
         timestamp_us: (N,) Unix microseconds.
@@ -113,7 +113,7 @@ class EgoPoses:
 
 @dataclass(frozen=True)
 class Annotations:
-    """The rows of ``sample_annotation`` of all scenes or of one, sorted by scene, instance and time; K rows.
+    """The K rows of ``sample_annotation`` of one scene or all scenes, sorted by scene, instance and time.
 
     Attributes:
         timestamp_us: (K,) stamp of the annotated frame.

@@ -323,7 +323,7 @@ class Tables:
 
 
 def find_tokens(column: pa.ChunkedArray, tokens: pa.Array) -> Index:
-    """Return the position (N,) of each token among others; -1 where it is not among them."""
+    """Return the position (N,) of each token in a list of tokens; -1 for an unknown token."""
     return np.asarray(pc.fill_null(pc.index_in(column, value_set=tokens), -1), np.int32)
 
 
@@ -332,7 +332,7 @@ _HELD_LOCK: Final = threading.Lock()
 
 
 def open_tables(root: Path, folder: Path) -> Tables:
-    """Return the tables of a version folder; drives that are opened one after the other share them.
+    """Open the tables of a version folder; drives that are opened one after the other share the tables.
 
     Args:
         root: the folder with the files of the sensors.

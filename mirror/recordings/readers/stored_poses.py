@@ -121,7 +121,7 @@ def join_poses(poses: Sequence[Poses]) -> Poses:
 
 
 def select_poses(stamps: Int64, good: Bool, file: Path) -> tuple[Int64, Int64]:
-    """Select the good poses of a trajectory, one at each stamp, for `interpolate`.
+    """Select the valid poses of a trajectory, one at each stamp, for `interpolate`.
 
     Args:
         stamps: (N,) stamps of the poses, in any order.

@@ -94,7 +94,7 @@ class TrackRecording:
 
 
 def require_track_file(path: Path, options: Mapping[str, str], reader: str, expected: str) -> None:
-    """Refuse a folder, and options that these readers do not have.
+    """Refuse a folder, and options that track files do not have.
 
     Raises:
         RecordingError: the path or the option is named.

@@ -174,7 +174,7 @@ class WaymoRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive; light, weather and city are from the component ``stats`` if it was downloaded."""
+        """The drive; light, weather and city come from the component ``stats`` if that was downloaded."""
         name = to_identifier(f"waymo_{self.segment}")
         file = self._find(_STATS)
         stats: dict[str, str] = {}

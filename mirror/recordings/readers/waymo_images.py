@@ -22,7 +22,7 @@ _BATCH: Final = 16
 
 @dataclass(frozen=True)
 class ParquetStream:
-    """Images in rows of a Parquet file; only their batches are decoded."""
+    """Images in rows of a Parquet file; row groups without requested images are not decoded."""
 
     camera: str
     exposure_start_ns: Int64

@@ -137,7 +137,7 @@ class Streets:
         return sorted(paths, key=lambda path: (-path.inside_m(self.radius_m), path.lane_ids))
 
     def out_and_home(self, at_m: float) -> tuple[Path, Path]:
-        """Return a path out of the ROI and a parallel one back, without a crossing at the place of the turn."""
+        """Return a path out of the ROI and a parallel path back, without a crossing where they are joined."""
         for out, home in ((self.along, self.back), (self.back, self.along)):
             if out and home:
                 place, _ = point_and_direction_at(out[0], at_m)

@@ -18,7 +18,7 @@ _SWING_LEAD_M: Final = 18.0
 
 
 def point_and_direction_at(path: Path, distance_m: float) -> tuple[Float64, Float64]:
-    """Return the last point (2,) of a path at a distance from the origin, and its direction (2,) there."""
+    """Return the last point (2,) of a path at a distance from the origin, and the path's direction (2,) there."""
     line = path.line
     line = line[np.concatenate([[True], arrays.hypot(*np.diff(line, axis=0).T) > 1e-3])]
     distance = arrays.hypot(*line.T)

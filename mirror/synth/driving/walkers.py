@@ -39,7 +39,7 @@ _LEAST_WIDTH_M: Final = 1.7
 def make_walkers(
     site: TrafficSite, bustle: TrafficDensity, ways: WayCache, rng: np.random.Generator
 ) -> Iterator[Participant]:
-    """Make the walking pedestrians; they are in the scene from the beginning.
+    """Make the walking pedestrians, who are in the scene from the beginning.
 
     Args:
         site: the scene.

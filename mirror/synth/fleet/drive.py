@@ -169,12 +169,12 @@ class SynthDrive:
         return Scene(self.world, self.condition, self.road_users, self.ego_model, clock_s=self.truth.clock_s)
 
     def prepare(self) -> None:
-        """Compute the data that threads share before they start, so that not each computes it."""
+        """Compute the data that threads share, once, before the threads start."""
         self.stage.prepare()
         _ = self.lenses, self.camera_responses, self.drops
 
     def forget(self) -> None:
-        """Release the large cached parts; they are computed again at their next use."""
+        """Release the large cached parts, which are computed again at their next use."""
         for name in ("stage", "_journey"):
             vars(self).pop(name, None)
 

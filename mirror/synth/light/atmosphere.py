@@ -82,7 +82,7 @@ def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
 
 
 def dome_directions() -> Float64:
-    """Return the directions (DOME, DOME, 3) of a dome's samples; below the horizon, the nearest direction on it."""
+    """Return the directions (DOME, DOME, 3) of a dome's samples, moved up to the horizon where below it."""
     line = np.linspace(-1.0, 1.0, DOME)
     x, y = np.meshgrid(line, line)
     square = x * x + y * y
@@ -92,7 +92,7 @@ def dome_directions() -> Float64:
 
 
 def dome_weights() -> Float64:
-    """Return solid angles (DOME, DOME) times the cosine from the zenith over pi; they sum radiance to irradiance."""
+    """Return solid angles (DOME, DOME) times the cosine from the zenith over pi, to sum radiance to irradiance."""
     line = np.linspace(-1.0, 1.0, DOME)
     x, y = np.meshgrid(line, line)
     square = x * x + y * y

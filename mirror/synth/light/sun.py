@@ -68,7 +68,7 @@ def air_mass(elevation_deg: float) -> float:
 
 
 def sunlight(elevation_deg: float) -> Float64:
-    """Return the light of the sun on a surface that faces it: (3,) red, green, blue, relative to that at 45 degrees.
+    """Return the sun's light on a surface that faces it: (3,) red, green, blue, relative to a sun at 45 degrees.
 
     The light fades over half a degree while the disc sets.
     """

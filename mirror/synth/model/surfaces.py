@@ -81,7 +81,7 @@ An ``image`` covers the half towards the ellipsoid's +x; the right side of the i
 
 @lru_cache
 def flat(kind: np.dtype[np.void]) -> np.dtype[np.void]:
-    """Return a record type with the same memory layout and one field per number: ``axes_00`` to ``axes_22``.
+    """Return a record type with the same memory layout and one field per number, such as ``axes_00``.
 
     Compiled kernels read such fields directly; an array within a record costs two reference counts.
     """
@@ -162,7 +162,7 @@ class Model:
         return np.concatenate([low, centre - reach]), np.concatenate([high, centre + reach])
 
     def select(self, keep: Bool) -> Model:
-        """Return the surfaces (N,) of a mask in their order; corners stay as they are."""
+        """Return the surfaces (N,) of a mask in their order; corners stay unchanged."""
         return Model(self.faces[keep[: len(self.faces)]], self.corners, self.rounds[keep[len(self.faces) :]])
 
     def _reach_of_rounds(self) -> Float64:

@@ -43,12 +43,12 @@ class SynthFileSystem(AbstractFileSystem):
         return {"name": name, "size": _length(parse_image_name(name)), "type": "file"}
 
     def ls(self, path: str, detail: bool = True, **kwargs: Any) -> list[Any]:
-        """Return the image itself; there are no folders."""
+        """List the image itself, as there are no folders."""
         info = self.info(path)
         return [info if detail else info["name"]]
 
     def cat_file(self, path: str, start: int | None = None, end: int | None = None, **kwargs: Any) -> bytes:
-        """Return a range of the bytes of an image; renders it unless the range is in the constant end of the file.
+        """Return a range of the bytes of an image, rendered unless the range lies in the constant end of the file.
 
         Raises:
             DatasetError: the name is malformed, or belongs to another version of the street.

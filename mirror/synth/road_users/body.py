@@ -23,7 +23,7 @@ class Body:
     model: Model
 
     def model_at(self, placement: Placement) -> Model:
-        """Return the model in the pose of a placement, within the box: people walk, all others are rigid."""
+        """Return the model in the pose of a placement, within the box: only people change their shape."""
         return self.model
 
 

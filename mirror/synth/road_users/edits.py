@@ -37,7 +37,7 @@ def shift_placement(placement: Placement, left_m: float) -> Placement:
 
 
 def edit_road_users(road_users: Sequence[RoadUser], shifts: Shifts) -> tuple[RoadUser, ...]:
-    """Shift or remove road users; all others stay as they are, in their order.
+    """Shift or remove road users; all others stay unchanged and in order.
 
     Args:
         road_users: all road users.

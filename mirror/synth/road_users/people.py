@@ -60,7 +60,7 @@ class Pedestrian(Body):
         return self.model if pace <= 0 else _cached_pose(self.person, phase, pace)
 
     def walking(self, phase: float, pace: float = 1.0) -> Model:
-        """Return a pose of the walk; it stays within the box at every phase and pace.
+        """Return a pose of the walk, within the box at every phase and pace.
 
         Args:
             phase: walked distance divided by ``stride_m``; the gait repeats after 1.

@@ -28,7 +28,7 @@ STRIDE: Final = 0.68
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Joint positions in the body's frame (x forward, y left, z up), metres; of each pair the left one comes first.
+    """Joint positions in the body's frame (x forward, y left, z up), metres; in pairs, the left joint comes first.
 
     Attributes:
         hips: (2, 3) hip joints.

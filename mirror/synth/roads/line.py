@@ -66,7 +66,7 @@ class Line:
         return np.stack([x + beyond * cos - offset * sin, y + beyond * sin + offset * cos], axis=-1)
 
     def locate(self, points: npt.ArrayLike) -> tuple[Float64, Float64]:
-        """Return the stations (N,) and offsets (N,) of points (N, 2): feet of their perpendiculars, by Newton's method.
+        """Return the stations (N,) and offsets (N,) of points (N, 2), by Newton's method for their perpendiculars.
 
         The line continues straight beyond its ends.
         """

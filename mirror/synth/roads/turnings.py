@@ -106,7 +106,7 @@ def build_turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str
 
 
 def link_lanes(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
-    """Return the successors of lanes that continue directly in another one, where lanes branch and merge."""
+    """Return the successors of lanes that continue directly in another lane, where lanes branch and merge."""
     return {
         start.lane_id: tuple(
             goal.lane_id for goal in ports if not goal.arrives and arrays.hypot(*(goal.place - start.place)) < _SAME_M
@@ -119,7 +119,7 @@ def link_lanes(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
 def assign_right_of_way(
     crossing: Crossing, turnings: Sequence[Turning], crosses: Mapping[int, tuple[str, ...]]
 ) -> list[Lane]:
-    """Convert turnings to lanes that name the lanes they yield to.
+    """Convert turnings to lanes that name the lanes to which they yield.
 
     Args:
         crossing: the crossing.

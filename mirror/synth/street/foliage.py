@@ -81,7 +81,7 @@ def draw_leaf_seeds(rng: np.random.Generator, species: Species, number: int) -> 
 
 
 def apply_season(model: Model, season: float, visit: int) -> Model:
-    """Return a model with its leaves as they are at a time of the year.
+    """Return a model with its leaves at a time of the year.
 
     Args:
         model: any model. Two-sided LEAVES faces change as sprays of leaves, all other LEAVES faces as insides of
@@ -124,7 +124,7 @@ def _color_insides(pieces: Records, bodies: Int64, season: float) -> Float64:
 
 
 def crown_share(seeds: Int64, season: float) -> Float64:
-    """Return the expected share (N,) of leaves at a season, for the plants with these seeds."""
+    """Return the expected share (N,) of leaves at a season, for plants with given seeds."""
     share = np.ones(len(seeds))
     for species, year in _YEARS.items():
         out = np.clip((season - year.out) / year.out_span, 0.0, 1.0)

@@ -48,7 +48,7 @@ def atlas() -> Atlas:
 
 
 def build_atlas() -> Atlas:
-    """Draw all textures into a new atlas; `atlas` does so once and keeps it."""
+    """Draw all textures into a new atlas; `atlas` calls it once and keeps the result."""
     grains, index = _grains()
     images, image_index = _images(draw_images())
     return Atlas(grains, index, images, image_index)

@@ -36,7 +36,7 @@ class ImageSchedule:
         return len(next(iter(self.true_ns.values())))
 
     def following(self, camera: str, number: int) -> int | None:
-        """Return the true mid-exposure of the camera's next image that was not lost; None after the last one."""
+        """Return the true mid-exposure of the camera's next image that was not lost; None if there is no next one."""
         later = np.flatnonzero(self.kept[camera][number + 1 :])
         return int(self.true_ns[camera][number + 1 + later[0]]) if len(later) else None
 

@@ -56,7 +56,7 @@ class Users(NamedTuple):
 
 @inner_njit
 def pace_at(ways: Ways, way: int, along: float) -> float:
-    """Return the speed that a way allows at a length along it."""
+    """Return the speed that a way allows at a length along the way."""
     first, last = ways.first[way], ways.first[way + 1] - 1
     place = min(max(along / STEP_M, 0.0), float(last - first))
     i = min(first + int(place), last - 1)

@@ -126,7 +126,7 @@ def draw_path(
 
 
 def beside_m(lane: Lane, point: Sequence[float] | Float64) -> float:
-    """Return the length along a lane at which it is closest to a point."""
+    """Return the length along a lane at which the lane is closest to a point."""
     return float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - np.asarray(point)[:2]) ** 2, axis=1))])
 
 

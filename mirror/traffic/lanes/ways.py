@@ -138,7 +138,7 @@ def lane_piece(
 
 
 def build_way(pieces: Sequence[Piece]) -> Way:
-    """Join pieces into one way; corners are rounded over two metres, and the way is straight beyond its ends.
+    """Join pieces into one way, with corners rounded over two metres and straight ends beyond it.
 
     Raises:
         UsageError: there are no pieces, or the way is not longer than a step.
@@ -254,7 +254,7 @@ def _cut_line(line: Float64, end_m: float) -> Float64:
 
 
 def change_lane_pieces(lane: Lane, other: Lane, begin_m: float, length_m: float) -> list[Piece]:
-    """Return the pieces of a lane change: a lane up to the change, and the neighbouring lane from there to its end.
+    """Return the pieces of a lane change: a lane up to the change, and the neighbouring lane after it.
 
     Args:
         lane: lane before the change.

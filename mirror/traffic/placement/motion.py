@@ -70,7 +70,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True)
 class StaticMotion:
-    """A motion that stays at one placement, as of parked cars."""
+    """A motion that stays at one placement, such as a parked car's."""
 
     placement: Placement
 

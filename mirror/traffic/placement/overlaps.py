@@ -11,7 +11,7 @@ from mirror.portable import scalars
 
 @njit(cache=True, nogil=True)
 def select_non_overlapping(places: Float64, halves: Float64, fixed: Bool, within_m: float) -> Bool:
-    """Select road users so that none overlaps a selected one with a smaller index.
+    """Select road users in order, each only if it overlaps no road user selected before.
 
     Args:
         places: (N, T, 3) x, y and yaw of the middle of each user at each time; NaN while it is absent.

@@ -37,7 +37,7 @@ class DiffusersAutoencoder:
         self._scale = float(config.scaling_factor) if self._kl else 1.0
 
     def to(self, device: torch.device | str) -> DiffusersAutoencoder:
-        """Move the autoencoder to a device, and return it."""
+        """Move the autoencoder to a device and return the autoencoder."""
         self._model.to(device)
         return self
 

@@ -96,7 +96,7 @@ class TinyAutoencoder(nn.Module):
 
     @torch.no_grad()
     def set_statistics(self, latents: Tensor) -> None:
-        """Change the normalisation so that these latents (N, channels, H, W) have mean 0 and deviation 1.
+        """Change the normalisation so that the given latents (N, channels, H, W) have mean 0 and deviation 1.
 
         Raises:
             UsageError: a channel is constant.

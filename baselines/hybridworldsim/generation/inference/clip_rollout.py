@@ -80,7 +80,7 @@ def roll_out_clip(
     captions: Captions | None = None,
     ring: bool = False,
 ) -> Iterator[GeneratedFrame]:
-    """Generate the frames of a clip from a first one on, frame by frame.
+    """Generate the frames of a clip one by one, from a first frame on.
 
     Args:
         network: the network; the rollout runs on its device.

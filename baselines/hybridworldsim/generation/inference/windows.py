@@ -18,7 +18,7 @@ REFERENCES = 5
 
 
 def seed_frames(first: int, references: int = REFERENCES) -> range:
-    """Return the recorded frames that seed a rollout: those before its first frame, so that no seed is output.
+    """Return the recorded frames that seed a rollout: they precede its first frame, so that no seed is output.
 
     For an edited window these frames show the vehicles before the edit begins: a seed within the window would show a
     vehicle where it was before it was moved.

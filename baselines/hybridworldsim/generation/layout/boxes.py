@@ -70,7 +70,7 @@ def draw_boxes(
     size_px: tuple[int, int],
     style: BoxStyle,
 ) -> Float32:
-    """Draw boxes, nearer ones over farther ones, by the depth of their centres.
+    """Draw boxes, nearer boxes over farther boxes, by the depth of their centres.
 
     Args:
         camera_SE3_box: (N, 4, 4) poses.

@@ -60,7 +60,7 @@ def takes_map(config: TransformerConfig, style: BoxStyle) -> bool:
 
 
 def draw_frame_layout(clip: Clip, frame: int, style: BoxStyle, config: TransformerConfig) -> Float32:
-    """Return the layout of one frame of a clip, as a network takes it.
+    """Return the layout of one frame of a clip, in the form that a network takes.
 
     Args:
         clip: the clip.

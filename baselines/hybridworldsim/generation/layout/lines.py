@@ -34,7 +34,7 @@ def clip_at_near(segments_m: Float64, near_m: float = NEAR_M) -> tuple[Float64, 
 def draw_lines(
     segments_m: Float64, colours: Float64, intrinsics: Float64, size_px: tuple[int, int], width_px: float
 ) -> Float32:
-    """Draw segments, each over those before it.
+    """Draw segments in order, each over the earlier ones.
 
     A pixel takes the share ``clip(width / 2 + 1 / 2 - distance, 0, 1)`` of a line's colour, where the distance is that
     of its centre from the projected segment, in pixels.

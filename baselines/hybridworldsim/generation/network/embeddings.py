@@ -169,7 +169,7 @@ def token_rays(intrinsics: Tensor, camera_to_ego: Tensor, rows: int, columns: in
 
 
 def camera_numbers(rate_hz: Tensor, intrinsics: Tensor, camera_to_ego: Tensor, aspect: float) -> Tensor:
-    """Return the numbers of the implicit camera condition, as OpenDWM has them.
+    """Return the numbers of the implicit camera condition, in OpenDWM's form.
 
     Args:
         rate_hz: (N,) frames per second.

@@ -92,7 +92,7 @@ class MixingBlock(nn.Module):
 
 
 class Mixer(nn.Module):
-    """A learned mean of a block's input and its output; it begins with 88 % of the input."""
+    """A learned mean of a block's input and output; initially it takes 88 % of the input."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -17,7 +17,7 @@ def busy_share(tracks: AnyArray, least_share: float) -> float:
 
 
 def count_clip(clip: Clip) -> ClipCounts:
-    """Count what a clip shows; its road users count once.
+    """Count the content of a clip; each road user counts once.
 
     Raises:
         DatasetError: the clip has no masks.

@@ -95,7 +95,7 @@ class HiddenShares:
         return np.round(shares * 255.0).astype(np.uint8)[rows][:, columns]
 
     def of_points(self, points_m: Float64, place_m: Float64) -> Float64:
-        """Return the share (N,) of training images that look at points and show a road user there; 0 where none looks.
+        """Return the share (N,) of images looking at points that show a road user there; 0 where no image looks.
 
         Args:
             points_m: (N, 3) points in the world.

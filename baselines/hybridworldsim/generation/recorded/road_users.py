@@ -40,7 +40,7 @@ class FramePixels:
 
 
 def boxes_at(frame: Frame, min_score: float, timestamp_ns: int | None = None) -> FrameBoxes:
-    """Return the boxes of a frame in the world, moved along their velocities from their own time to another.
+    """Return the boxes of a frame in the world, moved along their velocities to another time.
 
     Args:
         frame: the frame.
@@ -61,7 +61,7 @@ def boxes_at(frame: Frame, min_score: float, timestamp_ns: int | None = None) ->
 
 
 def read_pixels(frame: Frame, rig: SceneRig, street: Bool, tracks: Mapping[str, int], min_score: float) -> FramePixels:
-    """Read what the pixels of a frame show, in the raster of the generator.
+    """Read the content of each pixel of a frame, in the raster of the generator.
 
     Args:
         frame: the frame.
@@ -89,7 +89,7 @@ def read_pixels(frame: Frame, rig: SceneRig, street: Bool, tracks: Mapping[str, 
 
 
 def masked_pixels(image: Image, raster: ImageRaster, kinds: tuple[str, ...]) -> Bool:
-    """Mark the pixels (H, W) of the raster in which a mask of some kinds is not zero."""
+    """Mark the pixels (H, W) of the raster in which a mask of given kinds is not zero."""
     shown = np.zeros((raster.final.height_px, raster.final.width_px), np.bool_)
     for mask in image.masks():
         if mask.kind in kinds:

@@ -63,7 +63,7 @@ def loss_weight(level: Tensor, weighting: Weighting) -> Tensor:
 
 
 def draw_levels(shape: tuple[int, ...], generator: torch.Generator) -> Tensor:
-    """Return the noise levels for training: 70 % logit-normal (0.4, 1), 30 % high ones, logit-normal (1.8, 1).
+    """Draw the noise levels for training: 70 % logit-normal (0.4, 1), 30 % higher, logit-normal (1.8, 1).
 
     Only high levels decide what appears at all, so they are drawn more often than from one logit-normal distribution.
     """

@@ -71,7 +71,7 @@ class GeneratorFiles:
 
     @property
     def references(self) -> int:
-        """T, the number of reference frames; no parameters are read for it.
+        """T, the number of reference frames, without reading any parameters.
 
         Raises:
             DatasetError: the file is missing, broken, or no generator.
@@ -89,7 +89,7 @@ class GeneratorFiles:
         return trained_rates(self.generator) if self.base is None else (self.base.rate_hz, self.base.rate_hz)
 
     def hashes(self) -> dict[str, str]:
-        """Return the hashes of all files by name; the base and captions only where they are given."""
+        """Return the hashes of all files by name; base and captions only if they are given."""
         hashes = {
             "generator": file_sha256(self.generator),
             "autoencoder": autoencoder_hash(self.autoencoder) if self.base else file_sha256(self.autoencoder),
@@ -102,7 +102,7 @@ class GeneratorFiles:
 
 
 def open_generator(generator: Path, autoencoder: Path, device: str = "cpu", guidance: float = 1.0) -> SceneGenerator:
-    """Read a generator that was trained here and its autoencoder, and move them to a device.
+    """Read a generator trained by this package, and its autoencoder, and move them to a device.
 
     Raises:
         UsageError: there is no such device, or the generator cannot be guided.

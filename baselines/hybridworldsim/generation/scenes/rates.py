@@ -15,7 +15,7 @@ TOLERANCE: Final = 1.2
 
 
 def plan_rates(dataset: Dataset, plan: Plan) -> list[float]:
-    """Return the rate of each rollout of a plan's views, in frames per second; a single frame has none.
+    """Return the rate of each rollout of a plan's views, in frames per second; none for a single frame.
 
     Args:
         dataset: the dataset.
@@ -36,7 +36,7 @@ def plan_rates(dataset: Dataset, plan: Plan) -> list[float]:
 
 
 def rate_of(timestamps_ns: Sequence[int]) -> float:
-    """Return the rate of frames by the median of their distances, in frames per second."""
+    """Return the rate of frames from the median of their time differences, in frames per second."""
     return 1e9 / float(np.median(np.diff(np.array(timestamps_ns, np.int64))))
 
 

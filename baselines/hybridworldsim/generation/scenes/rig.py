@@ -52,7 +52,7 @@ class SceneRig:
 
     @cached_property
     def unscaled_lenses(self) -> tuple[Camera, ...]:
-        """The lenses of the rasters before they are scaled, by camera."""
+        """The lenses of the rasters before scaling, by camera."""
         full = [raster.full for raster in self.rasters]
         if self.recalibrated is None:
             return tuple(full)

@@ -292,7 +292,7 @@ def _read_state(out: Path) -> tuple[SequenceState | None, dict[str, int]]:
 
 
 def describe(document: GeneratedDocument) -> str:
-    """Return one line about a generated scene."""
+    """Describe a generated scene in one line."""
     views = document.generated_views + document.kept_views
     return (
         f"{document.frames} frames of {len(document.cameras)} views at {document.rate_hz:.3g} Hz in"

@@ -35,7 +35,7 @@ CLASS_OF: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class PlannedFrame:
-    """One frame of a scene, and where the vehicle is in it.
+    """One frame of a scene, with the vehicle's place.
 
     Attributes:
         frame: the recorded frame, which gives boxes and, for seeds, images.
@@ -132,7 +132,7 @@ def make_scene_clip(
 
 
 def require_valid_boxes(dataset: Dataset, frames: Iterable[Frame]) -> None:
-    """Check the boxes of frames before the first one is generated; boxes of other classes are not drawn.
+    """Check the boxes of all frames before any is generated; boxes of other classes are not drawn.
 
     Args:
         dataset: the dataset, for errors.

@@ -43,7 +43,7 @@ class SceneEdit:
 
 
 def parse_edit(text: str, tracks: Mapping[str, int]) -> SceneEdit:
-    """Read one edit.
+    """Parse one edit from its text.
 
     Args:
         text: the words of ``--edit``.
@@ -111,7 +111,7 @@ def require_shown(edits: Sequence[SceneEdit], boxes: ClipBoxes, tracks: Mapping[
 def apply_edits(
     clip: Clip, edits: Sequence[SceneEdit], tracks: Mapping[str, int], world_SE3_start: Poses, driven_m: Float64
 ) -> Clip:
-    """Apply edits to the boxes of a clip; a track without boxes in this clip stays as it is.
+    """Apply edits to the boxes of a clip; an edit of a track without boxes in the clip changes nothing.
 
     Args:
         clip: the clip.

@@ -111,7 +111,7 @@ def latent_weights(clip: Clip, stride: int) -> Tensor | None:
 
 
 class ClipWindows:
-    """All windows of some clips. Clips are read, encoded and drawn when a window of theirs is first asked for.
+    """All windows of some clips; a clip is read, encoded and drawn when one of its windows is first requested.
 
     Args:
         clips: the clips; all of one rig and size. They may differ in rate: that of a window is an input of the network.
@@ -252,7 +252,7 @@ def require_clips(
 
 
 def require_maps(clips: Sequence[ClipHeader], config: TransformerConfig, style: BoxStyle, folder: Path) -> str | None:
-    """Check that some clip has a map, if the network takes one.
+    """Check that at least one clip has a map, if the network takes maps.
 
     Args:
         clips: headers of the clips.

@@ -82,7 +82,7 @@ def visible_mask(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor
 
 
 def blur(image: Tensor, window: Tensor) -> Tensor:
-    """Convolve an image (H, W, C) with a window (odd,) along both axes; beyond the border it is black."""
+    """Convolve an image (H, W, C) with a window (odd,) along both axes; pixels beyond the border are black."""
     reach = len(window) // 2
     channels = image.permute(2, 0, 1)[:, None]
     down = functional.conv2d(channels, window[None, None, :, None], padding=(reach, 0))

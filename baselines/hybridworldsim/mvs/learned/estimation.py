@@ -38,7 +38,7 @@ class InputFormat:
 
 @dataclass(frozen=True)
 class MemoryLimit:
-    """The memory that an estimate needs at most, and the memory that it may take.
+    """The memory that an estimate needs at most, and the memory that is allowed.
 
     Attributes:
         name: of the network, for the message.

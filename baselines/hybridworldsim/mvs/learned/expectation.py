@@ -21,7 +21,7 @@ def soft_argmin(probability: Tensor, values: Tensor) -> Tensor:
 
 
 def compute_window_probability(probability: Tensor) -> Tensor:
-    """Sum the probability of the four hypotheses around the expected one: it is high where the distribution is peaked.
+    """Sum the probability of the four hypotheses around the expected one: high for a peaked distribution.
 
     Args:
         probability: (D, H, W); sums to 1 over D.

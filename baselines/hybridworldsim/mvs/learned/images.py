@@ -118,7 +118,7 @@ def drop_unseen_depth(
 
 @contextmanager
 def torch_inference(threads: int) -> Iterator[None]:
-    """Switch gradients off and fix torch's number of threads, because torch's sums depend on it."""
+    """Switch gradients off and fix torch's number of threads, on which torch's sums depend."""
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:

@@ -29,7 +29,7 @@ class GroupScore(nn.Module):
 
 
 class MatchEvaluation(nn.Module):
-    """The two networks of matching: one scores hypotheses, one weights the sources at each sample."""
+    """The two networks of matching: one scores hypotheses, the other weights the sources at each sample."""
 
     def __init__(self, groups: int) -> None:
         super().__init__()

@@ -172,7 +172,7 @@ def draw_first_hypotheses(inverse: InverseDepthRange, rows: int, columns: int, g
 
 
 def make_local_hypotheses(depth_m: Tensor, inverse: InverseDepthRange, count: int, interval: float) -> Tensor:
-    """Make depths (count, H, W) around known ones (H, W), evenly spaced in inverse depth, within the range."""
+    """Make depths (count, H, W) around known depths (H, W), evenly spaced in inverse depth, within the range."""
     steps = torch.arange(-(count // 2), count - count // 2, device=depth_m.device).view(-1, 1, 1) * (
         interval * inverse.extent
     )

@@ -68,7 +68,7 @@ class InitialisationLayers:
         return all(self.has(traversal_id, kind) for kind in self.kinds)
 
     def writer(self, traversal_id: str, kind: str) -> LayerWriter | None:
-        """Open a writer of a layer; None if the layer is complete or is not one of the kinds."""
+        """Open a writer of a layer; None if the layer is complete or its kind is not written."""
         if kind not in self.kinds or self.has(traversal_id, kind):
             return None
         return self.layer(traversal_id, kind).open()

@@ -39,7 +39,7 @@ class CameraInput:
 
 @dataclass(frozen=True, eq=False)
 class TargetBoxes:
-    """The K boxes of a frame, and where the cameras see their middles.
+    """The K boxes of a frame, and the positions of their middles in the cameras' images.
 
     Attributes:
         label: (K,) number of the class.

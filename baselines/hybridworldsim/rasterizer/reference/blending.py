@@ -26,7 +26,7 @@ def blend(
     tile_size: int,
     absgrad: bool,
 ) -> BlendedImage:
-    """Blend in the order of (float32 depth, index), each pixel until it stops.
+    """Blend in the order of (float32 depth, index); each pixel stops once almost no light passes.
 
     The function evaluates 256 Gaussians at all pixels of a tile at a time. The backward pass computes intermediate
     values again, so that memory is proportional to the number of pairs.

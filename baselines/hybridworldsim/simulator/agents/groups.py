@@ -31,7 +31,7 @@ class AgentGroup(Protocol):
 
 
 class AllAgents:
-    """The agents of a rollout, ordered by id whatever the order of their groups.
+    """The agents of a rollout, ordered by id regardless of the order of their groups.
 
     Args:
         groups: the groups.

@@ -70,7 +70,7 @@ class WayAgent:
 
 
 def draw_manner(category: str, agent_id: str, seed: int) -> Manner:
-    """Draw the driving style of an agent; it depends on the agent's id and on the seed, not on other agents."""
+    """Draw the driving style of an agent from the agent's id and the seed only."""
     digest = hashlib.sha256(f"{seed}/{agent_id}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
     fastest, quick, headway = _MANNERS.get(category, _MANNERS["car"])

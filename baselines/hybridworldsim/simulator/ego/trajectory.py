@@ -75,7 +75,7 @@ class Trajectory:
         return positions, PchipInterpolator(self.times_s, yaws)
 
     def at(self, time_s: float) -> ReferencePoint:
-        """Return the point at a time; after the last pose the vehicle stands there."""
+        """Return the point at a time; after the last pose the vehicle stands at that pose."""
         positions, yaws = self._splines
         inside = min(max(time_s, float(self.times_s[0])), float(self.times_s[-1]))
         (x, y), yaw = positions(inside), float(yaws(inside))

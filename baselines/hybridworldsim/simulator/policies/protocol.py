@@ -107,7 +107,7 @@ class PlannedTrajectory:
     poses: Float64
 
     def in_world(self, ego: EgoState, time_s: float) -> Trajectory:
-        """Return the trajectory in the world and in the times of the rollout; it begins at the ego.
+        """Return the trajectory in the world, with times of the rollout, beginning at the ego.
 
         Raises:
             UsageError: the shapes do not fit, or a number is not finite.

@@ -38,7 +38,7 @@ _RESPONSE: Final = CameraResponse()
 
 @dataclass(frozen=True, eq=False)
 class AgentImage:
-    """The agents in one camera, without anything else.
+    """The image of the agents alone in one camera.
 
     Attributes:
         rgb: (H, W, 3) colours where an agent is.
@@ -69,7 +69,7 @@ class AgentLayer:
         self._scene = Scene(_EmptyPlace(street), lit, self._live.users, Model.empty())
 
     def at(self, snapshot: Snapshot) -> Instant:
-        """Return the agents at an instant, for all cameras; in the dark the ego's headlights light them."""
+        """Return the agents at an instant, for all cameras; in the dark the ego's headlights light the agents."""
         self._live.update(snapshot)
         return self._scene.at(snapshot.time_s, ego_pose(self._street, snapshot))
 

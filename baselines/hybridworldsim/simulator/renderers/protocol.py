@@ -75,12 +75,12 @@ class Renderer(ABC):
         )
 
     def render_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
-        """Render images (H, W, 3), RGB, of cameras anywhere, all at one instant; the names differ."""
+        """Render images (H, W, 3), RGB, of cameras anywhere, all at one instant; the cameras' names must differ."""
         self.rendered += len(views)
         return self._draw_views(snapshot, views)
 
     def view_counts(self) -> dict[str, int] | None:
-        """Return what became of the views so far; None: all are rendered alike."""
+        """Return counts of how the views so far were rendered; None if all are rendered alike."""
         return None
 
     @abstractmethod

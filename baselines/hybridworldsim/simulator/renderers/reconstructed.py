@@ -38,7 +38,7 @@ _NEAR_M = 70.0
 
 
 def require_model_of(path: Path, street: Street) -> tuple[Reconstruction, tuple[str, ...]]:
-    """Return the document of a street's model, and the street's traversals that it was trained on.
+    """Return the document of a street's model, and the street's traversals in the model's training.
 
     Raises:
         DatasetError: the folder holds no model that is trained to the end.

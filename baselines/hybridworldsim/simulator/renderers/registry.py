@@ -73,7 +73,7 @@ class RendererFactory:
         self._opened: dict[tuple[tuple[int, int], ...], SceneGenerator] = {}
 
     def require_model_of(self, street: Street) -> None:
-        """Require that the model, if there is one, is of a street; it is not opened.
+        """Require that the model, if there is one, is a model of the street; the model is not opened.
 
         Raises:
             UsageError: the model is of another scene.

@@ -33,7 +33,7 @@ class PolicyRunner:
         self._is_silent = False
 
     def reset(self, spec: ObservationSpec) -> None:
-        """Prepare the policy for a rollout; the deadline does not count here.
+        """Prepare the policy for a rollout; this time does not count towards the deadline.
 
         Raises:
             PolicyError: the policy failed.

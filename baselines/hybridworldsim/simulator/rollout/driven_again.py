@@ -34,7 +34,7 @@ class DrivenAgain:
 
 
 def drive_again(street: Street, scenario: Scenario, controls: Sequence[Controls]) -> DrivenAgain:
-    """Drive a rollout by the given controls of each step, until it ends or there are no more controls.
+    """Drive a rollout by the given controls of each step, until the rollout ends or no controls are left.
 
     The same street, scenario and controls give the same states as `run_rollout` with a policy that answers them.
 

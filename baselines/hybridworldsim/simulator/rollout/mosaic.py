@@ -57,7 +57,7 @@ def bird_eye(simulation: Simulation, side_px: int = SIDE_PX) -> UInt8:
 
 
 def mosaic(images: Mapping[str, UInt8], beside: UInt8) -> UInt8:
-    """Arrange images in rows of up to three, and another image on their right, scaled to their height."""
+    """Arrange images in rows of up to three, with another image to the right of the rows, scaled to their height."""
     if not images:
         return beside
     height = max(image.shape[0] for image in images.values())

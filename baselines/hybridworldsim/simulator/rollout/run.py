@@ -105,7 +105,7 @@ class RolloutResult:
 
 
 def require_new_rollout(out: Path) -> FolderKind | None:
-    """Require that a rollout can be written to a folder: a new or empty one, or that of an interrupted rollout.
+    """Require a folder that a rollout can be written to: new, empty, or of an interrupted rollout.
 
     Returns:
         The kind of an existing folder; None: it is absent or empty.

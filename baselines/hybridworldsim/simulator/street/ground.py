@@ -71,7 +71,7 @@ class StreetGround:
 
 
 def ground_of_points(points_m: Float64) -> StreetGround:
-    """Return the ground through points (N, 3), weighted by the inverse square of their distances."""
+    """Return the ground surface through points (N, 3), weighted by the inverse square of their distances."""
     from scipy.spatial import cKDTree
 
     tree, heights = cKDTree(points_m[:, :2]), points_m[:, 2]

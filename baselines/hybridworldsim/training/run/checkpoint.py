@@ -19,7 +19,7 @@ _REMEDY: Final = "remove the file to train from the beginning"
 
 
 def write_checkpoint(path: Path, state: Mapping[str, Tensor], position: Position) -> None:
-    """Write a checkpoint; if the process is killed meanwhile, the previous one remains.
+    """Write a checkpoint; if the process is killed in between, the previous checkpoint remains.
 
     Raises:
         DatasetError: the folder is not writable, or the disk is full.

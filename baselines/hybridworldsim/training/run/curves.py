@@ -25,7 +25,7 @@ def write_curves(path: Path, rows: Sequence[Row]) -> None:
 
 
 def read_curves(path: Path, max_rows: int) -> list[Row]:
-    """Read the first rows of the learning curves; empty if there is no file yet."""
+    """Read the first rows of the learning curves; empty if no file exists yet."""
     if not path.exists():
         return []
     with path.open(newline="") as file:

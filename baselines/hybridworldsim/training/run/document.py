@@ -31,7 +31,7 @@ class Computation(Document):
 
 
 def describe_computation(device: str, precision: str = "float32", *, splats: bool = False) -> Computation:
-    """Describe what a run computes with; see `mirror.devices.library_versions`."""
+    """Describe the device, precision and libraries of a run; see `mirror.devices.library_versions`."""
     return Computation(device=device, precision=precision, versions=library_versions(device, splats=splats))
 
 

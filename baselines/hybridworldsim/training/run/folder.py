@@ -150,7 +150,7 @@ class RunFolder(Generic[OutcomeT]):
             write_curves(self._curves, self._rows)
 
     def finish(self, training: Training[OutcomeT], position: Position) -> OutcomeT:
-        """Write the model, then the outcome, and return it.
+        """Write the model, then the outcome, and return the outcome.
 
         Raises:
             DatasetError: there is no row of the curves, the folder is not writable, or the leading process stopped.

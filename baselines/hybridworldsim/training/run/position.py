@@ -45,7 +45,7 @@ class Sums:
     losses: Mapping[str, tuple[float, int]] = field(default_factory=dict)
 
     def after(self, step: Step) -> Sums:
-        """Return the sums with one step more."""
+        """Return the sums after one more step."""
         losses = dict(self.losses)
         for name, value in step.losses.items():
             total, count = losses.get(name, (0.0, 0))
@@ -76,7 +76,7 @@ class Position:
     sums: Sums = Sums()
 
     def after(self, step: Step, clock: Clock) -> Position:
-        """Return the position after one step more."""
+        """Return the position after one more step."""
         return replace(
             self, steps=self.steps + 1, shown=self.shown + step.shown, spent_s=clock.spent_s, wall_s=clock.wall_s,
             sums=self.sums.after(step),

@@ -80,7 +80,7 @@ def leads_process() -> bool:
 
 @contextmanager
 def join_processes(device: str) -> Iterator[Processes]:
-    """Join the processes that ``torchrun`` started; without it this process is the only one.
+    """Join the processes that ``torchrun`` started; without ``torchrun`` this process is the only one.
 
     Args:
         device: where the model is trained; decides how gradients are exchanged. Of several processes on CUDA each has

@@ -31,7 +31,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class MessagePlace:
-    """The place of a message: its block (a chunk or the file itself), and its bytes there."""
+    """The place of a message: its block (a chunk or the file itself), and its byte range in the block."""
 
     block: int
     offset: int
@@ -40,7 +40,7 @@ class MessagePlace:
 
 @dataclass(frozen=True)
 class Message:
-    """One message as a log stores it.
+    """One message in its stored form.
 
     Attributes:
         topic: its topic.
@@ -56,7 +56,7 @@ class Message:
 
 
 class MessageLog(Protocol):
-    """A file of messages. It is opened for each call and closed after it."""
+    """A file of messages, opened for each call and closed after it."""
 
     @property
     def path(self) -> Path:

@@ -22,7 +22,7 @@ from mirror.schema.strict_json import JsonError, decode_json
 
 @dataclass(frozen=True)
 class Header:
-    """The stamp of a message (0: it has none), and the frame that it refers to."""
+    """The stamp of a message (0 if it has none), and the frame that the message refers to."""
 
     stamp_ns: int
     frame: str
@@ -30,7 +30,7 @@ class Header:
 
 @dataclass(frozen=True)
 class ImageMessage:
-    """One encoded image, or one packet of a video; ``format`` is the message's own word: ``jpeg``, ``h264`` ..."""
+    """One encoded image, or one packet of a video; ``format`` is the message's own word, such as ``jpeg``."""
 
     header: Header
     format: str

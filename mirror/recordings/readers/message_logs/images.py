@@ -94,7 +94,7 @@ class MessageImages:
 
     @property
     def exposure_end_ns(self) -> Int64:
-        """(N,) equal to the start: the messages state one stamp."""
+        """(N,) equal to the start, as the messages state only one stamp."""
         return self.exposure_start_ns
 
     def path(self, index: int) -> None:
@@ -127,14 +127,14 @@ class MessageVideo:
 
     @property
     def exposure_end_ns(self) -> Int64:
-        """(N,) equal to the start: the messages state one stamp."""
+        """(N,) equal to the start, as the messages state only one stamp."""
         return self.exposure_start_ns
 
     def path(self, index: int) -> None:
         """Return None: no file holds a single frame."""
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
-        """Yield ``(index, JPEG bytes)``; only groups with requested frames are decoded, up to the last requested one.
+        """Yield ``(index, JPEG bytes)``; only groups with requested frames are decoded, up to the last such frame.
 
         Raises:
             RecordingError: PyAV is not installed, or a frame cannot be decoded; its stamp is named.
@@ -220,7 +220,7 @@ class MessageVideo:
 def stored_messages(
     logs: tuple[MessageLog, ...], topic: Topic, log: Int64, places: Sequence[MessagePlace], order: Int64
 ) -> StoredMessages:
-    """Return where the messages of a camera are, in the order of their stamps.
+    """Return the places of a camera's messages, in the order of their stamps.
 
     Args:
         logs: the files of the drive.

@@ -71,7 +71,7 @@ class McapFile:
         return tuple(self._damage)
 
     def topics(self) -> dict[str, Topic]:
-        """Return all topics by name: from the summary at the file's end, or from a pass over a file without one.
+        """Return all topics by name, from the file's summary or, without one, from a pass over the file.
 
         Raises:
             RecordingError: the file is not MCAP, or one topic has channels of several types.
@@ -113,7 +113,7 @@ class McapFile:
         yield from self._pass(frozenset(names), {})
 
     def read(self, places: Sequence[MessagePlace]) -> Iterator[bytes]:
-        """Yield the bytes of messages by their place; consecutive places in one chunk read it once.
+        """Yield the bytes of messages by place; a chunk is read once for consecutive places in it.
 
         Raises:
             RecordingError: the file has changed since the places were found.

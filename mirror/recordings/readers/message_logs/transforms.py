@@ -33,7 +33,7 @@ class Transforms:
     _values: dict[tuple[str, str], list[Sequence[float]]] = field(default_factory=lambda: defaultdict(list))
 
     def add(self, parent: str, child: str, stamp_ns: int, pose: Sequence[float]) -> None:
-        """Add one transform: quaternion (scalar first), then translation."""
+        """Add one transform, given as a quaternion (scalar first) and a translation."""
         edge = (parent.lstrip("/"), child.lstrip("/"))
         self._stamps[edge].append(stamp_ns)
         self._values[edge].append(pose)

@@ -32,7 +32,7 @@ def without_suffix(path: Path) -> Path:
 
 
 def stored_file(path: Path) -> Path:
-    """Return the file to open for a log: itself, or the unpacked one of a compressed file.
+    """Return the file to open for a log: the log itself, or the unpacked copy of a compressed log.
 
     Raises:
         RecordingError: the file is missing, not a regular file, or cannot be unpacked; or the extra is not installed.

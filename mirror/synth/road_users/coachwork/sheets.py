@@ -148,7 +148,7 @@ class Sheets:
         self._models.append(model)
 
     def model(self) -> Model:
-        """Convert everything to one model."""
+        """Convert all polygons and added models to one model."""
         parts = []
         for count in sorted({len(item.corners) for item in self._sheets}):
             group = [item for item in self._sheets if len(item.corners) == count]

@@ -32,7 +32,7 @@ _LEDGE_M: Final = 0.015
 
 @dataclass(frozen=True)
 class End:
-    """The front or the back of a body; seen from above it has a rounded corner on each side.
+    """The front or the back of a body, with a rounded corner on each side as seen from above.
 
     Attributes:
         reach_m: distance of its farthest point from the body's middle.

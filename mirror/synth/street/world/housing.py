@@ -37,7 +37,7 @@ _DETAIL_RANGE_M: Final = 30.0
 
 
 def build_houses(plan: StreetPlan, seed: int) -> Iterator[Model]:
-    """Yield a house for each lot, in the world frame; distant ones have less detail.
+    """Yield a house for each lot, in the world frame; distant houses have less detail.
 
     Args:
         plan: plan of the scene.

@@ -72,7 +72,7 @@ def roof(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def wood(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Draw planks of 0.15 m along u with their grain, knots, and gaps between them."""
+    """Draw planks of 0.15 m along u, with grain, knots and gaps between planks."""
     texel = period_m / size
     tone, _, up = _lay_units(rng, size, 10, 1, 0.0, 0.09)
     gap = joints(up * 0.15, 0.15, 0.008, texel)

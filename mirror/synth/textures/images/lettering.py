@@ -33,7 +33,7 @@ def write(
     align: float = 0.5,
     outline: tuple[Colour, int] | None = None,
 ) -> Box:
-    """Write words in one line, as large as they fit into a box.
+    """Write words in one line, as large as fits into a box.
 
     Args:
         image: image to draw on.

@@ -77,7 +77,7 @@ def exp2(exponent: Any) -> Any:
 def place_in_tile(
     rows: Float32, row: int, centre_x: Any, centre_y: Any, out: Float32, at: int, block_x: Any, block_y: Any
 ) -> Any:
-    """Write a Gaussian's numbers relative to a tile; return bits of the blocks that it may reach."""
+    """Write a Gaussian's numbers relative to a tile; return bits of the blocks that the Gaussian may reach."""
     f11, f12, f22 = rows[row + FACTORS], rows[row + FACTORS + 1], rows[row + FACTORS + 2]
     u, v = to_unit_space(rows, row, centre_x, centre_y)
     level = rows[row + LEVEL]

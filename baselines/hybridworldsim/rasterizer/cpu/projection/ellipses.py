@@ -128,7 +128,7 @@ def compute_extent(camera: Any, xx: Any, yy: Any, determinant: Any, opacity: Any
 
 @kernel()
 def find_candidates(camera: Any, gaussians: Any, begin: Any, end: Any, rows: Any, counts: Any) -> Any:
-    """Find Gaussians that may reach the image, by bounds that need no rotation; return their number.
+    """Find Gaussians that may reach the image, by bounds that need no rotation; return the number found.
 
     Args:
         camera: `KernelCamera`.

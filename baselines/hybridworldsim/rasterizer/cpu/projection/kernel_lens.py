@@ -136,7 +136,7 @@ def _project_pinhole(camera: Any, lens: Any, x: Any, y: Any, z: Any) -> Any:
 
 @kernel(inline="always")
 def project_point(camera: Any, lens: Any, point: Any) -> Any:
-    """Project a point of the camera frame; return x and y in pixels, their derivatives by the point, and a mask.
+    """Project a point of the camera frame; return x and y in pixels, their derivatives, and a mask.
 
     A point behind the camera, or outside the domain of the lens, lies at (0, 0) with derivatives of 0. The mask marks
     points that count as visible if they lie in the image.

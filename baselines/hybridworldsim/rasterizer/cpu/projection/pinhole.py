@@ -47,7 +47,7 @@ def covariance(a: Any, b: Any) -> Any:
 
 @kernel()
 def project_part(camera: Any, gaussians: Any, begin: Any, end: Any, rows: Any, output: Any, counts: Any) -> Any:
-    """Project a range of Gaussians and write the visible ones in order; return their number.
+    """Project a range of Gaussians and write the visible ones in order; return the number written.
 
     Args:
         camera: `KernelCamera`.

@@ -120,7 +120,7 @@ def _moments(scratch: Any) -> Any:
 def unscented_part(
     camera: Any, lens: Any, gaussians: Any, begin: Any, end: Any, rows: Any, scratch: Any, output: Any, counts: Any
 ) -> Any:
-    """Project a range of Gaussians and write the visible ones in order; return their number.
+    """Project a range of Gaussians and write the visible ones in order; return the number written.
 
     Args:
         camera: `KernelCamera`.

@@ -8,7 +8,11 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo test pytest fuzz peers processors lint mutants wheel clean
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	# Kernels are compiled while torch is installed, which is large.
+	$(BIN)/mirror compile --workers 1 & \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0; \
+	code=$$?; wait; exit $$code
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $(STAMP)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import CodeType, FunctionType, SimpleNamespace
@@ -13,18 +14,23 @@ import numpy as np
 from numba import njit, types
 from numba.core import event
 from numba.core.dispatcher import Dispatcher, OmittedArg
-from numba.extending import intrinsic
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-_always: Final[list[bool]] = []
+COMPILE_ALWAYS: Final = "MIRROR_COMPILE_ALWAYS"
+"""Environment variable: where it is set, every function is compiled, however small its input is (`mirror compile`)."""
+_always: Final[list[bool]] = [True] * (COMPILE_ALWAYS in os.environ)
 # Python's hypot is not that of the C library, which compiled code and numpy call: their last bits differ.
 _MATH: Final = SimpleNamespace(**(vars(math) | {"hypot": np.hypot}))
 
-inner_njit: Final[Any] = njit(cache=True, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)  # type: ignore[call-overload]
+_WITHOUT_WRAPPERS: Final[dict[str, Any]] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+inner_njit: Final[Any] = njit(cache=True, nogil=True, **_WITHOUT_WRAPPERS)
 """As ``njit(cache=True, nogil=True)``, for functions that Python does not call: the wrappers that such a call needs are
 a third of the time of compilation. (numba's stubs lack these options.)
 """
+inner_numpy_njit: Final[Any] = njit(cache=True, nogil=True, error_model="numpy", **_WITHOUT_WRAPPERS)
+"""As `inner_njit`, with numpy's divisions by zero: no exceptions."""
+_PER_PIXEL: Final[dict[str, Any]] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
 
 
 def per_pixel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Function], _Function]:
@@ -35,8 +41,17 @@ def per_pixel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Fun
     Args:
         inline: ``always`` inlines the function into the kernels that call it.
     """
-    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "inline": inline, "_nrt": False}
-    decorator: Callable[[_Function], _Function] = njit(**options)
+    decorator: Callable[[_Function], _Function] = njit(**_PER_PIXEL, inline=inline)
+    return decorator
+
+
+def inner_per_pixel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Function], _Function]:
+    """Return a decorator as `per_pixel` does, for functions that Python does not call: without wrappers for it.
+
+    Args:
+        inline: ``always`` inlines the function into the kernels that call it.
+    """
+    decorator: Callable[[_Function], _Function] = njit(**_PER_PIXEL, **_WITHOUT_WRAPPERS, inline=inline)
     return decorator
 
 
@@ -161,26 +176,6 @@ def _with_fields(value: Any) -> Any:
         fields = map(_with_fields, value)
         return type(value)(*fields) if hasattr(value, "_fields") else tuple(fields)
     return value
-
-
-@intrinsic
-def _float_bits(typing_context: Any, value: Any) -> tuple[Any, Callable[..., Any]]:
-    return types.int32(types.float32), _reinterpret
-
-
-@intrinsic
-def _bits_float(typing_context: Any, bits: Any) -> tuple[Any, Callable[..., Any]]:
-    return types.float32(types.int32), _reinterpret
-
-
-def _reinterpret(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
-
-
-float_bits: Final[Any] = _float_bits
-"""Takes a float32 to the int32 of its bits in compiled functions; ``array.view`` takes 3 s to compile there."""
-bits_float: Final[Any] = _bits_float
-"""Takes an int32 to the float32 that has its bits, in compiled functions."""
 
 
 class _NoCollection(event.Listener):

@@ -32,6 +32,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "view": ("data", "look at a dataset in rerun, or drive through a reconstructed street in the browser"),
     "deidentify": ("data", "remove faces, number plates and metadata from the images of a dataset"),
     "release": ("data", "check, review, build or withdraw a public release of a de-identified dataset"),
+    "compile": ("data", "compile the kernels ahead of their first use, for containers and read-only homes"),
     "weights": ("data", "list files of weights, or fetch those that packages contain"),
     "annotate": ("data", "find road users: boxes from files, programs and networks; tracks"),
     "calibrate": ("data", "find a camera's lens, check the calibrations against the images, refine them"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel, per_pixel
 
 # Parts of pi/2 and of log 2 (Cody and Waite, 1980): the leading parts have 33 bits, so that their products with the
 # number of periods are exact.
@@ -43,9 +43,10 @@ _ATAN_EIGHTHS: Final = tuple(
 """Arc tangents of 0, 1/8, ... 1."""
 
 _compiled: Final = per_pixel()
+_inner: Final = inner_per_pixel()
 
 
-@_compiled
+@_inner
 def _sin_core(r: float) -> float:
     """The sine of an angle of at most pi/4, by its Taylor series."""
     z = r * r
@@ -59,7 +60,7 @@ def _sin_core(r: float) -> float:
     return r + r * (z * tail)
 
 
-@_compiled
+@_inner
 def _cos_core(r: float) -> float:
     """The cosine of an angle of at most pi/4, by its Taylor series."""
     z = r * r
@@ -76,7 +77,7 @@ def _cos_core(r: float) -> float:
     return whole + ((1.0 - whole) - half + z * (z * tail))
 
 
-@_compiled
+@_inner
 def _reduce(x: float) -> tuple[float, float, int]:
     """The angle less multiples of pi/2, as a sum of two numbers, and the quadrant."""
     count = (x * (2.0 / _PI) + _ROUNDING) - _ROUNDING

@@ -9,8 +9,9 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
-import numba
 from numba.core import event
+
+from mirror.compiled import per_pixel
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -31,10 +32,9 @@ def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Functi
     Args:
         inline: ``always``: inline the function into the kernels that call it.
     """
-    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "inline": inline, "_nrt": False}
 
     def compile_kernel(function: _Function) -> _Function:
-        dispatcher: Any = numba.njit(**options)(function)
+        dispatcher: Any = per_pixel(inline=inline)(function)
         cache: Any = dispatcher._cache._cache_file
         cache._source_stamp = _source_stamp(Path(function.__code__.co_filename).parent)
         cache._load_index = partial(_load_index, cache._load_index)

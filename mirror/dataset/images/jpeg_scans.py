@@ -219,7 +219,9 @@ def _copy_interval(data: UInt8, begin: int, state: Int64, out: UInt8, length: in
     """Copy an interval; the bits that fill up its last byte become 1, as T.81 has it."""
     end = state[_AT]
     count = end - begin
-    out[length : length + count] = data[begin:end]
+    # Not a slice: the error of shapes that differ takes three seconds to compile.
+    for byte in range(count):
+        out[length + byte] = data[begin + byte]
     length += count
     left = state[_LEFT]
     if left == 0 or count == 0:

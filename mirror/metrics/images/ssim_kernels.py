@@ -57,8 +57,9 @@ def similarity(
         quantities = ring[:, slot : slot + reach]
         _enter(render[row], truth[row], centre, quantities)
         if known is not None:
-            known_ring[slot : slot + reach] = known[row]
             for x in range(reach):
+                # Not a slice: the error of shapes that differ takes three seconds to compile.
+                known_ring[slot + x] = known[row, x]
                 if known[row, x] == 0:
                     quantities[:, x] = 0
         if row < size - 1:

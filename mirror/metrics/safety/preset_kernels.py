@@ -161,11 +161,12 @@ def navsim_violation(
                 if excluded[other] or speed[row] < stopped or not present[other, after]:
                     continue
                 one = states[other, after]
-                agent[:] = one[:3]
+                agent[0], agent[1], agent[2] = one[0], one[1], one[2]
                 if rest > 1e-6:
                     if not present[other, after + 1]:
                         continue
-                    agent[:] += rest * (states[other, after + 1, :3] - one[:3])
+                    for value in range(3):
+                        agent[value] += rest * (states[other, after + 1, value] - one[value])
                 if not _overlap(ego, agent, halves, other):
                     continue
                 dx, dy = agent[0] - own[0], agent[1] - own[1]

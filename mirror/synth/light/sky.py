@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from mirror.arrays import Float32, Records
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel, per_pixel
 from mirror.portable import scalars
 from mirror.synth.light.clouds import LEVELS, PERIOD, SIDE
 
@@ -24,7 +24,7 @@ _DISC: Final = 30.0
 _SUN_IS_CLEAR: Final = 70.0
 
 
-@per_pixel()
+@inner_per_pixel()
 def _cloud(clouds: Float32, x: float, y: float, start: int, side: int) -> float:
     """Bilinear interpolation of one level of the densities; the position is in samples."""
     i, j = math.floor(y), math.floor(x)

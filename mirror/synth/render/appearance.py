@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float32, Float64, Int64, Records, UInt8
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel
 from mirror.synth.model import Material
 from mirror.synth.textures.catalogue import Grain
 from mirror.synth.textures.sampling import grain_at, image_at
@@ -49,7 +49,7 @@ _GLOSS[[Material.HEADLIGHT, Material.TAIL_LIGHT, Material.WATER]] = 0.08, 0.08, 
 _SHINE: Final = 1.1
 
 
-@per_pixel()
+@inner_per_pixel()
 def plain_surface(
     grains: Float32,
     grain_index: Float64,
@@ -75,7 +75,7 @@ def plain_surface(
     return colour[0] * tone, colour[1] * tone, colour[2] * tone, 0.0, 0.0, 0.0, _GLOSS[material]
 
 
-@per_pixel()
+@inner_per_pixel()
 def image_surface(
     images: UInt8,
     image_index: Int64,
@@ -97,7 +97,7 @@ def image_surface(
     return r, g, b, shine * r, shine * g, shine * b, 0.02
 
 
-@per_pixel()
+@inner_per_pixel()
 def lamp_surface(face: Records, setting: Records) -> Appearance:
     """Evaluate the face of a street lamp or a traffic light."""
     r, g, b = face.colour_0, face.colour_1, face.colour_2

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, Records
+from mirror.compiled import inner_numpy_njit
 from mirror.synth.model import Label
 from mirror.synth.render.lens import FANOUT, LEVELS
 
@@ -96,7 +97,7 @@ def find_facing(
     return chosen[:used], distances[:used]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_numpy_njit
 def _rotate_cones(cones: Float64, rotation: Float64) -> Float64:
     turned = np.empty((len(cones), 5))
     for index in range(len(cones)):
@@ -161,7 +162,7 @@ def build_ray_tests(
     return starts, rows
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_numpy_njit
 def _quadric(ellipsoid: Records, x: float, y: float, z: float, rows: Float32) -> None:
     dx, dy, dz = x - ellipsoid.centre_0, y - ellipsoid.centre_1, z - ellipsoid.centre_2
     ax, ay, az = (
@@ -265,7 +266,9 @@ def build_tile_lists(
                 if level == 0:
                     if used == len(pairs):
                         longer = np.empty((2 * used, 2), np.int32)
-                        longer[:used] = pairs
+                        # Not a slice: the error of shapes that differ takes three seconds to compile.
+                        for pair in range(used):
+                            longer[pair, 0], longer[pair, 1] = pairs[pair, 0], pairs[pair, 1]
                         pairs = longer
                     pairs[used, 0], pairs[used, 1] = row * levels[0, 2] + column, place
                     used += 1
@@ -291,7 +294,7 @@ def build_tile_lists(
     return begins, lists
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_numpy_njit
 def _occlusion_distance(cone: Float64, rows: Float32, first: int, last: int) -> float:
     """Distance beyond which a face hides everything in a cone; infinite if the face does not cover the cone."""
     if cone[3] <= 0.0:

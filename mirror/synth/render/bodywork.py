@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from mirror.arrays import Records
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel, per_pixel
 from mirror.portable import scalars
 from mirror.synth.model import Material, Side
 from mirror.synth.render.appearance import Appearance
@@ -43,12 +43,12 @@ def bodywork(face: Records, u: float, v: float, fu: float, fv: float, setting: R
     return face.colour_0, face.colour_1, face.colour_2, 0.0, 0.0, 0.0, 0.01
 
 
-@per_pixel()
+@inner_per_pixel()
 def _line(x: float, at: float, half: float, footprint: float) -> float:
     return band(x, at - half, at + half, footprint)
 
 
-@per_pixel()
+@inner_per_pixel()
 def _paint(face: Records, u: float, v: float, fu: float, fv: float) -> Appearance:
     r, g, b = face.colour_0, face.colour_1, face.colour_2
     panel = face.layout
@@ -91,7 +91,7 @@ def _paint(face: Records, u: float, v: float, fu: float, fv: float) -> Appearanc
     )
 
 
-@per_pixel()
+@inner_per_pixel()
 def _glass(face: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
     """Tinted glass: between seats and pillars the street on the other side is visible."""
     panel = face.layout
@@ -130,7 +130,7 @@ def _glass(face: Records, u: float, v: float, fu: float, fv: float, setting: Rec
     )
 
 
-@per_pixel()
+@inner_per_pixel()
 def _seat(u: float, v: float, at: float, fu: float, fv: float) -> float:
     """Coverage by a backrest with its headrest, seen from the side."""
     return max(
@@ -139,7 +139,7 @@ def _seat(u: float, v: float, at: float, fu: float, fv: float) -> float:
     )
 
 
-@per_pixel()
+@inner_per_pixel()
 def _rim(face: Records, u: float, v: float, footprint: float) -> Appearance:
     """A tyre and a rim of one of four kinds."""
     step = max(footprint / face.half_0, 1e-4)
@@ -169,7 +169,7 @@ def _rim(face: Records, u: float, v: float, footprint: float) -> Appearance:
     return r, g, b, 0.0, 0.0, 0.0, 0.06 * metal + 0.01
 
 
-@per_pixel()
+@inner_per_pixel()
 def _headlight(face: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
     """Two lenses in a dark housing above a daytime running light."""
     wide, high = u / face.half_0, v / face.half_1
@@ -185,7 +185,7 @@ def _headlight(face: Records, u: float, v: float, fu: float, fv: float, setting:
     )  # fmt: skip
 
 
-@per_pixel()
+@inner_per_pixel()
 def _tail_light(face: Records, v: float, fv: float, setting: Records) -> Appearance:
     """A red housing with a strip that emits light."""
     strip = band(v / face.half_1, -0.1, 0.6, fv / face.half_1)

@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 from mirror.arrays import Records
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel, per_pixel
 from mirror.synth.render.appearance import Appearance
 from mirror.synth.render.texture import band, grain, hash_unit, noise
 
@@ -23,7 +23,7 @@ _COVER_U_M: Final = 23.0
 _COVER_RADIUS_M: Final = 0.33
 
 
-@per_pixel(inline="always")
+@inner_per_pixel(inline="always")
 def _striped_length(x: float, period: float, duty: float) -> float:
     """Total length of the stripes between 0 and x."""
     periods = math.floor(x / period)
@@ -101,7 +101,7 @@ def carriageway(face: Records, layouts: Records, rough: float, u: float, v: floa
     return r, g, b, 0.0, 0.0, 0.0, 0.0
 
 
-@per_pixel()
+@inner_per_pixel()
 def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     """Factor of the asphalt's reflectance from repairs, cracks and manhole covers."""
     wide = max(fu, fv)
@@ -124,7 +124,7 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     return tone
 
 
-@per_pixel()
+@inner_per_pixel()
 def _crack_tone(seed: int, u: float, v: float, wide: float) -> float:
     """Factor from jagged cracks: contour lines of a noise, displaced by other noise."""
     strength = noise(u / 17.0, v / 6.0, seed + 8) - 0.15
@@ -136,7 +136,7 @@ def _crack_tone(seed: int, u: float, v: float, wide: float) -> float:
     return 1.0 - min(2.0 * strength, 0.6) * max(1.0 - away / half, 0.0) * _CRACK_HALF / half
 
 
-@per_pixel()
+@inner_per_pixel()
 def _patch_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     """Factor from rectangular patches of newer or older asphalt with a dark seam."""
     i, j = math.floor(u / _BED_U_M), math.floor(v / _BED_V_M)

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, UInt8
-from mirror.compiled import bits_float, float_bits, per_pixel
+from mirror.compiled import inner_per_pixel
 from mirror.portable import scalars
 from mirror.synth.render.lens import TILE_PX
 
@@ -76,7 +76,7 @@ def compute_coverage(
     sx, sy, sz = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     inverse, inside, found = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.int32)
     surfaces, sums = np.empty(samples, np.int32), np.empty((samples, 3), np.float32)
-    differs = np.empty(_AREA, np.int32)
+    differs, bits, pattern = np.empty(_AREA, np.int32), inverse.view(np.int32), np.empty(1, np.int32)
     room = height * width // 2 + count
     which, share = np.empty((room, 2), np.int32), np.empty((room, 3), np.float32)
     centre = np.full((height, width), SKY, np.int32)
@@ -110,10 +110,11 @@ def compute_coverage(
                 _try_round(rows, first, sx, sy, sz, inverse, found, place)
             if (at - begins[tile]) & 3 == 0:
                 # Positive floats have the order of their bits, and the compiler vectorises the minimum of integers.
-                least = float_bits(inverse[0])
+                least = bits[0]
                 for i in range(count):
-                    least = min(least, float_bits(inverse[i]))
-                farthest = bits_float(least)
+                    least = min(least, bits[i])
+                pattern[0] = least
+                farthest = pattern.view(np.float32)[0]
         for pixel in range(_AREA):
             differs[pixel] = 0
         for sample in range(1, samples):
@@ -122,7 +123,10 @@ def compute_coverage(
         if used + count > room:
             room = 2 * room + count
             longer, wider = np.empty((room, 2), np.int32), np.empty((room, 3), np.float32)
-            longer[:used], wider[:used] = which[:used], share[:used]
+            # Not slices: the error of shapes that differ takes three seconds to compile.
+            for at in range(used):
+                longer[at, 0], longer[at, 1] = which[at, 0], which[at, 1]
+                wider[at, 0], wider[at, 1], wider[at, 2] = share[at, 0], share[at, 1], share[at, 2]
             which, share = longer, wider
         for row in range(top, min(top + TILE_PX, height)):
             for column in range(left, min(left + TILE_PX, width)):
@@ -153,7 +157,7 @@ def compute_coverage(
     return centre, mixed, which[:used], share[:used], counts
 
 
-@per_pixel()
+@inner_per_pixel()
 def _is_any_set(mask: Float32, top: int, left: int) -> bool:
     for row in range(top, min(top + TILE_PX, mask.shape[0])):
         for column in range(left, min(left + TILE_PX, mask.shape[1])):
@@ -162,7 +166,7 @@ def _is_any_set(mask: Float32, top: int, left: int) -> bool:
     return False
 
 
-@per_pixel()
+@inner_per_pixel()
 def ray_steps(
     rays: Float64, rotation: Float64, top: int, left: int, bottom: int, right: int
 ) -> tuple[float, float, float, float, float, float]:
@@ -191,7 +195,7 @@ def ray_steps(
     )
 
 
-@per_pixel()
+@inner_per_pixel()
 def _spread_rays(
     rays: Float64, rotation: Float64, offsets: Float32, top: int, left: int, sx: Float32, sy: Float32, sz: Float32
 ) -> None:
@@ -218,7 +222,7 @@ def _spread_rays(
             sz[first + pixel] = sz[pixel] + z
 
 
-@per_pixel()
+@inner_per_pixel()
 def _try_face(
     rows: Float32,
     first: int,
@@ -265,7 +269,7 @@ def _try_face(
             found[i] = mark if nearer else found[i]
 
 
-@per_pixel()
+@inner_per_pixel()
 def _try_round(
     rows: Float32, first: int, sx: Float32, sy: Float32, sz: Float32, inverse: Float32, found: Int32, place: int
 ) -> None:

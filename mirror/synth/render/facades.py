@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 from mirror.arrays import Records
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel, per_pixel
 from mirror.synth.render.appearance import Appearance
 from mirror.synth.render.texture import grain, hash_unit
 
@@ -18,13 +18,13 @@ _LINTEL_M: Final = 0.13
 """Height of the shadow below the top of a window, because panes are recessed in the wall."""
 
 
-@per_pixel(inline="always")
+@inner_per_pixel(inline="always")
 def _overlap(low: float, high: float, start: float, end: float) -> float:
     """Length of the intersection of two intervals."""
     return max(min(high, end) - max(low, start), 0.0)
 
 
-@per_pixel()
+@inner_per_pixel()
 def _panes(low: float, high: float, start: float, width: float, count: int, frame: float) -> float:
     """Length of the part of an interval that is on panes: ``count`` panes between frames, from ``start`` on."""
     pane = (width - (count + 1) * frame) / count
@@ -35,7 +35,7 @@ def _panes(low: float, high: float, start: float, width: float, count: int, fram
     return length
 
 
-@per_pixel()
+@inner_per_pixel()
 def _panes_up(low: float, high: float, foot: float, height: float, transom: float, frame: float) -> float:
     """Height of the part of an interval that is on panes: one pane, or two with a bar between."""
     if transom <= 0.0:
@@ -46,7 +46,7 @@ def _panes_up(low: float, high: float, foot: float, height: float, transom: floa
     )
 
 
-@per_pixel()
+@inner_per_pixel()
 def wall_grain(face: Records, patterns: Records) -> int:
     """Return the grain of the wall of a FACADE face."""
     return patterns[face.layout].grain
@@ -90,7 +90,7 @@ def facade(
     return r * share, g * share, b * share, er * share, eg * share, eb * share, gloss * share
 
 
-@per_pixel()
+@inner_per_pixel()
 def _shade_cell(
     face: Records,
     row: Records,
@@ -155,7 +155,7 @@ def _shade_cell(
     return _add_interior(face, row, i, j, x0, x1, y0, y1, start, foot, panes_x, panes_y, setting, r, g, b)
 
 
-@per_pixel()
+@inner_per_pixel()
 def _add_interior(
     face: Records,
     row: Records,

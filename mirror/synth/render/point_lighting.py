@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from mirror.arrays import Float32, Records
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel
 from mirror.portable import scalars
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Label, Material
@@ -18,7 +18,7 @@ _PAINT_RAD: Final = 0.20
 _SENT_BACK: Final = 5.0
 
 
-@per_pixel()
+@inner_per_pixel()
 def read_map(value: Float32, column: float, row: float) -> float:
     """Return the bilinear interpolation of a map; 0 outside."""
     i, j = math.floor(row), math.floor(column)
@@ -30,7 +30,7 @@ def read_map(value: Float32, column: float, row: float) -> float:
     return (1 - v) * before + v * next_row
 
 
-@per_pixel()
+@inner_per_pixel()
 def _beam_at(setting: Records, maps: Records, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Light from the recording vehicle's headlights."""
     vx, vy, vz = x - maps.beam_0, y - maps.beam_1, z - maps.beam_2
@@ -43,7 +43,7 @@ def _beam_at(setting: Records, maps: Records, x: float, y: float, z: float, nx: 
     return setting.headlight * wide * wide * max(0.25 * faces + 0.12, 0.0) * 14.0 / (4.0 + 0.09 * far * far)
 
 
-@per_pixel(inline="always")
+@inner_per_pixel(inline="always")
 def shade_point(
     static_shadow: Float32,
     moving_shadow: Float32,

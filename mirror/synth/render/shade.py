@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel, per_pixel
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Material
 from mirror.synth.render.appearance import image_surface, lamp_surface, plain_surface
@@ -26,7 +26,7 @@ from mirror.synth.textures.sampling import grain_at, image_at
 _BRIGHTEST: Final = 4.0
 
 
-@per_pixel(inline="always")
+@inner_per_pixel(inline="always")
 def shade_ray(
     faces: Records,
     rounds: Records,

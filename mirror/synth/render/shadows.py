@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Records
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_numpy_njit, per_pixel
 from mirror.portable import arrays
 from mirror.synth.model import FACE, ROUND, Model, flat
 
@@ -100,7 +100,7 @@ def _fill(
         _fill_round(rounds[index], sun, axes, low, height)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_numpy_njit
 def _fill_polygon(a: Float64, b: Float64, h: Float64, count: int, na: float, nb: float, height: Float32) -> None:
     least, most, highest = b[0], b[0], h[0]
     for k in range(1, count):
@@ -119,7 +119,7 @@ def _fill_polygon(a: Float64, b: Float64, h: Float64, count: int, na: float, nb:
             height[row, column] = max(height[row, column], min(base - column * na, highest))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_numpy_njit
 def _fill_round(ellipsoid: Records, sun: Float64, axes: Float64, low: Float64, height: Float32) -> None:
     reach = max(ellipsoid.half_0, ellipsoid.half_1, ellipsoid.half_2)
     x, y, z = ellipsoid.centre_0, ellipsoid.centre_1, ellipsoid.centre_2

@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel, per_pixel
 
 _MASK: Final = 127
 _RANDOM: Final = np.random.default_rng(0).uniform(-1.0, 1.0, (_MASK + 1, _MASK + 1)).astype(np.float32)
 
 
-@per_pixel()
+@inner_per_pixel()
 def hash_unit(i: int, j: int, seed: int) -> float:
     """Hash three integers to a number in [0, 1) (a xor-shift multiply hash)."""
     h = np.uint64(i * 0x9E3779B1 + j * 0x85EBCA77 + seed * 0xC2B2AE3D)
@@ -22,7 +22,7 @@ def hash_unit(i: int, j: int, seed: int) -> float:
     return float(h >> np.uint64(40)) / 16777216.0
 
 
-@per_pixel()
+@inner_per_pixel()
 def noise(x: float, y: float, seed: int) -> float:
     """Smooth noise in [-1, 1] with a grain size of 1; the period is 128."""
     i, j = math.floor(x), math.floor(y)
@@ -35,7 +35,7 @@ def noise(x: float, y: float, seed: int) -> float:
     return a * (1.0 - v) + b * v
 
 
-@per_pixel()
+@inner_per_pixel()
 def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float:
     """Return the noise with a grain size; it fades out where the footprint is wider than the grain."""
     visible = 1.5 - footprint / size
@@ -44,7 +44,7 @@ def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float
     return min(visible, 1.0) * noise(x / size, y / size, seed)
 
 
-@per_pixel()
+@inner_per_pixel()
 def band(x: float, low: float, high: float, footprint: float) -> float:
     """Return the share of the footprint around x that is within [low, high]."""
     width = max(footprint, 1e-6)
@@ -52,7 +52,7 @@ def band(x: float, low: float, high: float, footprint: float) -> float:
     return min(max(covered / width, 0.0), 1.0)
 
 
-@per_pixel()
+@inner_per_pixel()
 def _stripes_before(x: float, duty: float) -> float:
     periods = math.floor(x)
     return periods * duty + min(x - periods, duty)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from numba import njit
 
 from mirror.arrays import Float64, Int64
+from mirror.compiled import inner_njit
 from mirror.errors import UsageError
 
 _CELL_M: Final = 4.0
@@ -66,7 +67,7 @@ def build_ground_index(triangles: Float64) -> GroundIndex:
     return GroundIndex(triangles, low, (max(nx, 1), max(ny, 1)), first, members)
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _overlaps_cell(triangle: Float64, left: float, bottom: float) -> bool:
     """Return whether a triangle (3, 3) overlaps the cell with this lower left corner; tests its edges' half planes."""
     for corner in range(3):
@@ -81,7 +82,7 @@ def _overlaps_cell(triangle: Float64, left: float, bottom: float) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _cell_range(triangle: Float64, axis: int, low: float, count: int) -> tuple[int, int]:
     least = min(triangle[0, axis], triangle[1, axis], triangle[2, axis])
     most = max(triangle[0, axis], triangle[1, axis], triangle[2, axis])

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float32, Float64, Int64, UInt8
-from mirror.compiled import per_pixel
+from mirror.compiled import inner_per_pixel, per_pixel
 
 _CLOSE: Final = 1.25
 """Number of taps of a single row per width of the pixel along its length."""
@@ -79,7 +79,7 @@ def grain_at(
     return total * (_SHARE[taps] * _SHARE[rows])
 
 
-@per_pixel(inline="always")
+@inner_per_pixel(inline="always")
 def _spread(x1: float, y1: float, x2: float, y2: float) -> tuple[float, float, float, float, float, int, int]:
     """Distribute taps over a parallelogram.
 
@@ -102,7 +102,7 @@ def _spread(x1: float, y1: float, x2: float, y2: float) -> tuple[float, float, f
     return along * x1, along * y1, across * x2, across * y2, 1.0 + _BELL * short, taps, rows
 
 
-@per_pixel(inline="always")
+@inner_per_pixel(inline="always")
 def _grain_tap(grains: Float32, first: int, log: int, x: int, y: int) -> float:
     mask, i, j = (1 << log) - 1, x >> 16, y >> 16
     a, b = np.float32(x & 65535) * np.float32(1.0 / _WHOLE), np.float32(y & 65535) * np.float32(1.0 / _WHOLE)
@@ -155,7 +155,7 @@ def image_at(
     return red * scale, green * scale, blue * scale
 
 
-@per_pixel(inline="always")
+@inner_per_pixel(inline="always")
 def _image_tap(images: UInt8, first: int, wide: int, high: int, x: int, y: int) -> _Tap:
     """One bilinear tap of an image: linear reflectance times 255 squared."""
     x, y = min(max(x, 0), (wide - 1) << 16), min(max(y, 0), (high - 1) << 16)

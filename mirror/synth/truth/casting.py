@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Bool, Float64, Int64, UInt8
+from mirror.compiled import inner_numpy_njit
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes
 from mirror.geometry.cameras import Camera
 from mirror.portable import arrays
@@ -119,7 +120,7 @@ def _cast_faces(
                 distance[r], index[r] = t, f
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_numpy_njit
 def _is_inside(
     corners: Float64, first: int, count: int, normal: Float64, origin: Float64, ray: Float64, t: float
 ) -> bool:

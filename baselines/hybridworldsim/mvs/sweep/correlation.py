@@ -110,7 +110,9 @@ def _pad_strip(image: AnyArray, first: int, rows: int) -> Float32:
     height, width = image.shape
     out = np.full((rows + 2 * RADIUS, width + 2 * RADIUS), np.nan, np.float32)
     for row in range(max(first - RADIUS, 0), min(first + rows + RADIUS, height)):
-        out[row - first + RADIUS, RADIUS : RADIUS + width] = image[row]
+        # Not a slice: the error of shapes that differ takes three seconds to compile.
+        for column in range(width):
+            out[row - first + RADIUS, RADIUS + column] = image[row, column]
     return out
 
 

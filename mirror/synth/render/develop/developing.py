@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Records, UInt8
+from mirror.compiled import inner_numpy_njit
 from mirror.errors import UsageError
 from mirror.synth.light.condition import Effects
 from mirror.synth.render.develop.camera_response import CameraResponse
@@ -138,7 +139,7 @@ def _film(
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_numpy_njit
 def _upsample(small: Float32, row: int, between: Float32, out: Float32) -> None:
     """Upsample one row to full resolution, bilinearly between the middles of blocks.
 

@@ -1,0 +1,41 @@
+"""``mirror compile``: what it refuses; that every function is compiled in it, however small its input is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mirror.cli.main import main
+from mirror.compiled import COMPILE_ALWAYS
+
+_COUNT: str = """
+import numpy as np
+from mirror.ingest.fix_status import count_backward
+count_backward(np.arange(3))
+print(len(count_backward.overloads))
+"""
+
+
+@pytest.mark.parametrize("words", [["--cache", "{file}/kernels"], ["--cache", "{file}"], ["--workers", "0"]])
+def test_a_cache_that_cannot_be_written_and_no_workers_are_refused(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    assert main(["compile", *(word.format(file=file) for word in words)]) == 2
+    said = capsys.readouterr().err
+    assert words[0] in said
+    assert "compiling" not in said
+
+
+def test_functions_are_compiled_for_small_inputs_only_where_all_are(tmp_path: Path) -> None:
+    for more, expected in (({}, "0"), ({COMPILE_ALWAYS: "1"}, "1"), ({}, "1")):
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)} | more
+        done = subprocess.run(
+            [sys.executable, "-c", _COUNT], env=environment, capture_output=True, text=True, check=True
+        )
+        assert done.stdout.strip() == expected

@@ -38,7 +38,7 @@ def require_listening(host: str, port: int) -> None:
 
 
 def require_answer(host: str, port: int, *, place: str, timeout_s: float) -> None:
-    """Require that somebody accepts a connection at an address.
+    """Require that a server accepts connections at an address.
 
     Args:
         host: name or number of a machine; an IPv6 number may stand in brackets.

@@ -231,7 +231,7 @@ def refuse_urls(arguments: _Arguments) -> _Arguments:
 
 
 def refuse_numbers(arguments: object) -> None:
-    """Require that every number of parsed arguments, also in groups of options, can be computed with.
+    """Require that all numbers of parsed arguments, also in groups of options, are usable in computations.
 
     Raises:
         UsageError: a number is NaN or infinite, or a whole number does not fit into 64 bits.
@@ -254,7 +254,7 @@ def refuse_numbers(arguments: object) -> None:
 
 
 def refuse_empty_texts(arguments: object) -> None:
-    """Refuse options whose text is empty, also in groups of options: an option that says nothing is to be left out.
+    """Refuse options with an empty text, also in groups of options.
 
     Raises:
         UsageError: the value of an option is empty, or blank.

@@ -26,7 +26,7 @@ _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREAD
 
 @contextmanager
 def thread_pool(threads: int) -> Iterator[ThreadPoolExecutor]:
-    """Open a pool of threads; where the block ends with an error, tasks that have not begun are dropped.
+    """Open a pool of threads; if the block ends with an error, tasks that have not begun are dropped.
 
     Args:
         threads: how many.

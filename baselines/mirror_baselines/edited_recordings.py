@@ -88,7 +88,7 @@ def paint(view: RenderView, recorded: UInt8) -> UInt8:
 
 
 def move(view: RenderView, recorded: UInt8) -> UInt8:
-    """Erase the edited vehicles, and show each at its target as a flat cutout that faces the camera."""
+    """Erase the edited vehicles, and show each vehicle at its target as a flat cutout that faces the camera."""
     moved = erase(view, recorded).copy()
     lens, camera_SE3_world = view.lens, view.pose.inverse()
     for edit in _from_far_to_near(view):

@@ -39,7 +39,7 @@ _COMPARED: Final = ("value", "n", "n_inf", "n_missing", "low", "high", "reason",
 
 @dataclass(frozen=True)
 class RolloutPlan:
-    """Request of an organiser: each scenario of a folder, with its seed, in each street.
+    """Request of an organiser: to drive each scenario of a folder, with its seed, in each street.
 
     Attributes:
         streets: synthetic streets ``synth:PRESET[:SEED[:DRIVE]]``, and datasets, of which each scene is a street.

@@ -142,7 +142,7 @@ class ProgramDescriber:
         self._program = FrameProgram(command, limit_s, REQUEST)
 
     def describe(self, frame: Frame) -> Description:
-        """Ask the program; a program that fails is started again and asked once more."""
+        """Ask the program; a program that fails is restarted and asked once more."""
         answer = self._program.ask(frame)
         if "text" not in answer:
             raise AnnotationError("no `text`", place="subprocess", expected="a text, which may be empty")

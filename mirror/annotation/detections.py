@@ -83,7 +83,7 @@ class Detections:
         score: Float64,
         track_id: Sequence[str] = (),
     ) -> Detections:
-        """Return the boxes of arrays: centres (N, 3) and unit quaternions (N, 4), scalar first.
+        """Make boxes from arrays: centres (N, 3) and unit quaternions (N, 4), scalar first.
 
         Raises:
             AnnotationError: a number is not finite or out of range; its row is named.

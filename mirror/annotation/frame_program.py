@@ -44,7 +44,7 @@ class FrameProgram:
         self._images = tempfile.TemporaryDirectory(prefix="mirror-annotate-")
 
     def ask(self, frame: Frame) -> dict[str, Any]:
-        """Return the program's answer for a frame; a program that fails is started again and asked once more.
+        """Return the program's answer for a frame; a program that fails is restarted and asked once more.
 
         Raises:
             AnnotationError: there is no answer for this frame, or the program reports an error.
@@ -202,7 +202,7 @@ def _is_plain(value: object) -> bool:
 
 
 def program_settings(settings: Mapping[str, str]) -> tuple[list[str], float]:
-    """Return the words of the setting ``command``, and ``limit_s``, 60 by default.
+    """Return the words of the setting ``command``, and the setting ``limit_s``, 60 by default.
 
     Raises:
         UsageError: there is no command, or the limit is not a number above 0.

@@ -104,7 +104,7 @@ def mask_layer(
     version: str | None = None,
     progress: ProgressReporter | None = None,
 ) -> MaskReport:
-    """Write masks of kind ``dynamic`` for all images: where the boxes of road users are.
+    """Write masks of kind ``dynamic`` for all images, which mark the boxes of road users.
 
     An image with a mask of kind ``instance`` gets its non-zero pixels in place of hulls.
 

@@ -42,7 +42,7 @@ class SubprocessAnnotator:
         return self._program.restarts
 
     def annotate(self, frame: Frame) -> Detections:
-        """Ask the program; a program that fails is started again and asked once more."""
+        """Ask the program; a program that fails is restarted and asked once more."""
         return _read_answer(self._program.ask(frame), frame)
 
     def close(self) -> None:

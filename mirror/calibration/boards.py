@@ -59,7 +59,7 @@ class CalibrationBoard:
 
     @property
     def corners(self) -> Float32:
-        """(columns * rows, 3) inner corners on the board, row by row, z = 0."""
+        """(columns * rows, 3) inner corners on the board, row by row, with z = 0."""
         grid = np.zeros((self.columns * self.rows, 3), np.float32)
         grid[:, :2] = np.mgrid[: self.columns, : self.rows].T.reshape(-1, 2)
         return grid

@@ -303,7 +303,7 @@ class Solution:
         return len(self.problem.rig.time_s)
 
     def distances_m(self) -> Float64:
-        """Return the distances (M,) of the tracked points; infinite without an angle between the two rays."""
+        """Return the distances (M,) of the tracked points; infinite where the two rays are parallel."""
         problem = self.problem
         ego_R_camera, ego_t_camera, turns, places = problem._poses(self.start, self.unknowns)
         ways, at = [], []

@@ -13,7 +13,7 @@ from mirror.geometry import Poses, matrix_from_quaternion
 
 @dataclass(frozen=True)
 class FrameChoice:
-    """The rule that chooses frames: a stretch that turns as much as possible, with even steps.
+    """The rule that chooses frames: a stretch that turns as much as possible, in even steps.
 
     A step of 1 is ``step_m`` of driving or ``step_deg`` of turning, or a mixture (root of the sum of squares). Longer
     steps average the errors of the recorded positions over a longer way; shorter ones are easier to track.
@@ -34,7 +34,7 @@ class FrameChoice:
 
 
 def choose_stretch(poses: Poses, choice: FrameChoice) -> Float64:
-    """Return the positions of the frames on a finely sampled way.
+    """Return the positions of the chosen frames on a finely sampled way.
 
     Args:
         poses: (N,) poses of the vehicle along the way, N >= 2, in order of time.

@@ -56,7 +56,7 @@ class Intrinsics:
         return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist()))
 
     def doubts(self) -> list[str]:
-        """Return the limits of the lens, in words; empty: nothing was found."""
+        """Return reasons to doubt the lens, in words; empty if none was found."""
         found = []
         if len(self.image_rms_px) < ENOUGH_IMAGES:
             found.append(f"{len(self.image_rms_px)} images were used: {ENOUGH_IMAGES} to 30 determine a lens well")
@@ -72,7 +72,7 @@ class Intrinsics:
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result in plain values, for JSON; lens with the centre of the first pixel at 0.5."""
+        """Return the result as plain values, for JSON; the first pixel's centre is at 0.5 in the lens."""
         camera = self.camera
         return {
             "model": camera.model, "width_px": camera.width_px, "height_px": camera.height_px,

@@ -136,7 +136,7 @@ def track_traversal(
 
 
 def measure_spacing(frames: Sequence[Frame]) -> ImageSpacing:
-    """Return how far apart at least two frames of a traversal are."""
+    """Measure the spacing of two or more frames of a traversal."""
     return ImageSpacing.of(stack_poses([frame.world_SE3_ego for frame in frames]), [one.timestamp_ns for one in frames])
 
 

@@ -76,7 +76,7 @@ class ImageSpacing:
 
     @property
     def is_too_far(self) -> bool:
-        """Return whether the images are farther apart than tracking is measured for."""
+        """Return whether the images are farther apart than the measured range of tracking."""
         return self.steps(FrameChoice()) > _TOO_FAR
 
     def __str__(self) -> str:

@@ -61,7 +61,7 @@ class FleetStatistics:
 
 
 def require_scipy() -> None:
-    """Require the package of the extra ``calibration``, before minutes are spent on images.
+    """Require the package of the extra ``calibration``; called before minutes are spent on images.
 
     Raises:
         UsageError: scipy is not installed.

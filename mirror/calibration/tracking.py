@@ -105,7 +105,7 @@ class TrackedImage:
 
     @classmethod
     def from_grey(cls, grey: UInt8, is_static: Bool | None = None) -> TrackedImage:
-        """Return an image; without a mask all pixels are static."""
+        """Make a tracked image from a grey image; without a mask all pixels are static."""
         return cls(grey, np.ones(grey.shape, np.bool_) if is_static is None else is_static)
 
 

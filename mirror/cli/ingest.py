@@ -192,7 +192,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def stated_thresholds(thresholds: TriggerArguments | Cleaning) -> dict[str, object]:
-    """Return the thresholds that the command line states, by name."""
+    """Return the thresholds given on the command line, by name."""
     values: dict[str, object] = {name: value for name, value in vars(thresholds).items() if value is not None}
     if values.get("trim_standstill_s") == 0:
         values["trim_standstill_s"] = None

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def plain_console(*, stderr: bool = False, width: int | None = None, soft_wrap: bool = False) -> Console:
-    """Return a console that takes every string literally, in table cells and titles too.
+    """Make a console that prints every string literally, in table cells and titles too.
 
     Brackets (``[/b]``, ``[Date]``) are neither styles nor ends of styles, ``:name:`` is no emoji, and numbers are not
     coloured. What has a style is a `rich.text.Text`.

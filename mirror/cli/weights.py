@@ -19,7 +19,7 @@ _FETCH_EXAMPLES: Final = ("mirror weights fetch centerface clp_det", "mirror wei
 
 @dataclass(frozen=True)
 class WeightListArguments:
-    """List the known files of weights, and which of them are here."""
+    """List the known files of weights, and which of them are on this machine."""
 
     json: bool = False
     """Print the list as JSON."""

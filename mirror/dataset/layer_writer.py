@@ -110,7 +110,7 @@ class LayerWriter:
     def finish(
         self, table: Table, data: pa.Table | Sequence[Mapping[str, Any]], derived_from: Mapping[str, str] | None = None
     ) -> None:
-        """Write the layer's table, then its manifest. From then on the layer exists.
+        """Write the layer's table, then its manifest, with which the layer begins to exist.
 
         Args:
             table: specification of the table.

@@ -94,7 +94,7 @@ def _complete(parent: Path) -> Iterator[Path]:
 
 
 def not_a_dataset_error(root: str | Path, *, exists: bool) -> DatasetError:
-    """Make the error for a path where a dataset was expected."""
+    """Make the error for a path that is not a dataset."""
     return DatasetError(
         "not a dataset: dataset.json is missing" if exists else "the folder does not exist",
         file=root,

@@ -133,7 +133,7 @@ def resized_shape(shape: tuple[int, int], resize: Resize | None) -> tuple[int, i
 
 
 def validate_resize(resize: object) -> Resize | None:
-    """Convert an option ``resize`` of a caller to an argument of `resized_shape`.
+    """Convert a caller's option ``resize`` to an argument of `resized_shape`.
 
     Raises:
         UsageError: the value is neither (height, width) nor a factor.

@@ -316,7 +316,7 @@ def _counted(values: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]
 
 
 def stored_bytes(images: pa.Table) -> int:
-    """Return the size of the files of images in bytes; a video counts once, whatever the number of its frames.
+    """Return the size of the image files in bytes; a video counts once, whatever its number of frames.
 
     Args:
         images: the columns ``codec``, ``byte_length`` and ``uri`` of the `images` table.

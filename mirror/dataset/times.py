@@ -29,7 +29,7 @@ def solar_time(stamp_ns: int, longitude_deg: float | None) -> str:
 
 
 def solar_date(stamp_ns: int, longitude_deg: float | None) -> str:
-    """Format the date at the place, such as ``2025-05-14``, by the local mean solar time; of UTC without a longitude.
+    """Format the date at the place by the local mean solar time, such as ``2025-05-14``; in UTC without a longitude.
 
     Args:
         stamp_ns: Unix time.

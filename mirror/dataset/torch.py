@@ -269,7 +269,7 @@ class IterableFrames(IterableDataset[Sample]):
             yield {**default_collate(self._load(batches[step])), "epoch": self._epoch, "step": step}
 
     def state_dict(self, batch: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return the state to load in order to continue after a batch.
+        """Return the state that, when loaded, continues after a batch.
 
         Args:
             batch: the last batch that was used; None: the state that was loaded or set.

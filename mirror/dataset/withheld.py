@@ -8,7 +8,7 @@ from mirror.schema.files import parse_json
 
 
 def read_withheld(store: Store) -> frozenset[str]:
-    """Read the paths of the images that a published dataset withholds; empty: the dataset is complete.
+    """Read the paths of the images that a published dataset withholds; empty for a complete dataset.
 
     Raises:
         SchemaError: ``bundle.json`` is invalid.

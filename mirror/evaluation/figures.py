@@ -131,7 +131,7 @@ def _mean_weights(parts: tuple[tuple[str, ...], ...]) -> Float64:
 
 
 def linearise_mean(values: Float64, weights: Float64) -> Float64:
-    """Linearise a weighted mean: return values (N,) with that plain mean and equal deviations.
+    """Linearise a weighted mean: return values (N,) with the same plain mean, and equal deviations when resampled.
 
     Under resampling, the weighted mean deviates to first order like the plain mean of ``N w (x - mean)``.
 
@@ -144,7 +144,7 @@ def linearise_mean(values: Float64, weights: Float64) -> Float64:
 
 
 def assign_blocks(protocol: Protocol, views: Sequence[RenderView]) -> Int64:
-    """Assign each view to a block of consecutive frames, which is resampled as a unit: block ids (N,)."""
+    """Return the block (N,) of each view: consecutive frames that are resampled together."""
     frames = tuple((view.traversal_id, view.frame_index) for view in views)
     return _assign_blocks(frames, protocol.intervals.block_frames)
 

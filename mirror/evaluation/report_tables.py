@@ -107,7 +107,7 @@ def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, st
 
 
 def list_measures(result: Result) -> list[Measure]:
-    """List every metric of a result, with its sentence and direction."""
+    """List every metric of a result, with its description and direction."""
     return [find_measure(metric) for metric in dict.fromkeys(figure.metric for figure in result.figures)]
 
 

@@ -92,7 +92,7 @@ class Publication:
     citation: str | None = None
 
     def missing(self) -> list[str]:
-        """List the options of `mirror dataset publish` that Croissant asks for and that were not given."""
+        """List the options of `mirror dataset publish` that Croissant requires and that were not given."""
         given = {"--url": self.url, "--creator": self.creator, "--date": self.date}
         return [option for option, value in given.items() if value is None]
 

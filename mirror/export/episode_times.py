@@ -13,7 +13,7 @@ GAP_STEPS: Final = 1.5
 
 
 def rates(episodes: Sequence[Sequence[int]]) -> tuple[float, int]:
-    """Return the median rate of rows in hertz, and the whole number that LeRobot states.
+    """Return the median rate of rows in hertz, and the whole number for LeRobot's document.
 
     Args:
         episodes: times of the rows of each episode, nanoseconds.

@@ -19,7 +19,7 @@ _JPEG_QUALITY: Final = 95
 
 
 def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) -> None:
-    """Place an image in an export. A file of an earlier call stays only if its bytes are those of the dataset.
+    """Place an image in an export; an earlier call's file is kept only if its bytes are the dataset's.
 
     The bytes are those of the dataset where the format allows it. An image that states an orientation is copied without
     its metadata: calibrations refer to the stored raster, and other tools would turn it. A frame of a video becomes a
@@ -43,7 +43,7 @@ def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) ->
 
 
 def image_bytes(item: ExportImage, suffix: str) -> bytes:
-    """Return the encoded image of an export: the bytes of the dataset, or encoded as `place_image` says."""
+    """Return the encoded image of an export: the dataset's bytes, or a new encoding; see `place_image`."""
     image = item.image
     if _keeps_bytes(item, suffix):
         data = image.read()

@@ -27,7 +27,7 @@ LensMap = Callable[[Camera], ForeignLens | None]
 
 
 def colmap_lens(camera: Camera) -> ForeignLens | None:
-    """Return the model of COLMAP 4 with the projection of a camera; its pixel coordinates are MIRROR's.
+    """Return the COLMAP 4 model with the projection of a camera, in MIRROR's pixel coordinates.
 
     Source: https://github.com/colmap/colmap/blob/main/src/colmap/sensor/models.h
     """
@@ -45,7 +45,7 @@ def colmap_lens(camera: Camera) -> ForeignLens | None:
 
 
 def gsplat_lens(camera: Camera) -> ForeignLens | None:
-    """Return the COLMAP models that gsplat's ``Parser`` reads: without sixth-order radial or rational terms.
+    """Return a COLMAP model that gsplat's ``Parser`` reads; None for sixth-order radial or rational terms.
 
     Source: https://github.com/nerfstudio-project/gsplat/blob/main/examples/datasets/colmap.py
     """
@@ -54,7 +54,7 @@ def gsplat_lens(camera: Camera) -> ForeignLens | None:
 
 
 def nerfstudio_lens(camera: Camera) -> ForeignLens | None:
-    """Return the model of nerfstudio with the projection of a camera; its radial polynomial has four terms.
+    """Return the nerfstudio model with the projection of a camera; its radial polynomial has four terms.
 
     Source: ``nerfstudio/cameras/camera_utils.py`` (radial_and_tangential_undistort, fisheye_undistort).
     """

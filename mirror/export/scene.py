@@ -114,7 +114,7 @@ class ExportScene:
 
     @property
     def origin_m(self) -> Float64:
-        """(3,) origin of formats with float32 coordinates, in the scene's world frame.
+        """(3,) origin, in the scene's world frame, of exports with float32 coordinates.
 
         World frames of geodetic scenes have their origin at the region's centre. Local metric frames may have theirs
         many kilometres away; the region's centre is subtracted there in float64.

@@ -38,5 +38,5 @@ def fill(kernel: Callable[..., None], out: AnyArray, *arrays: AnyArray) -> None:
 
 
 def split(array: AnyArray) -> AnyArray:
-    """Return the components (K, ...) of vectors (..., K), each contiguous."""
+    """Split vectors (..., K) into contiguous components (K, ...)."""
     return np.ascontiguousarray(array.transpose(array.ndim - 1, *range(array.ndim - 1)))

@@ -168,7 +168,7 @@ def surface_distance_m(
     longitude0_deg: npt.ArrayLike,
     latitude0_deg: npt.ArrayLike,
 ) -> Float64:
-    """Return the geodesic distance on the ellipsoid for places that are near each other.
+    """Return the geodesic distance on the ellipsoid between nearby places.
 
     The chord through the ellipsoid is taken in closed form and bent to the arc of the mean curvature at the first
     place; within 20 km the error is below 1e-4 m, within 2 km below 1e-7 m (against Karney's algorithm).
@@ -213,7 +213,7 @@ def geodesic_circle(longitude_deg: float, latitude_deg: float, radius_m: float, 
 
 @dataclass(frozen=True)
 class TangentFrame:
-    """The east-north-up frame at a place: a scene's world.
+    """The east-north-up frame at a place, as the world of a scene.
 
     Attributes:
         longitude_deg: origin, WGS 84.

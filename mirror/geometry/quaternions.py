@@ -166,7 +166,7 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> Float64:
 
 
 def quaternion_exp(rotation_vector: npt.ArrayLike) -> Float64:
-    """Return the unit quaternions of rotation vectors (axis times angle, radians), exact for the smallest angles.
+    """Convert rotation vectors (axis times angle, radians) to unit quaternions, accurate for the smallest angles too.
 
     Args:
         rotation_vector: (..., 3).
@@ -224,7 +224,7 @@ def slerp(first: npt.ArrayLike, second: npt.ArrayLike, fraction: npt.ArrayLike) 
 
 
 def angle_between_deg(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
-    """Return the angle in [0, 180] degrees by which two rotations differ, accurate to 1e-14 degrees.
+    """Return the angle in [0, 180] degrees between two rotations, accurate to 1e-14 degrees.
 
     Args:
         first: (..., 4) unit quaternions.

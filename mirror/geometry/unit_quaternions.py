@@ -15,7 +15,7 @@ from mirror.geometry.blocks import fill, split
 
 
 def canonical(quaternion: Float64) -> Float64:
-    """Return the quaternion (..., 4) of each rotation whose first non-zero component is positive."""
+    """Return the quaternion (..., 4) of each rotation with a positive first non-zero component."""
     scalar = quaternion[..., 0]
     if (scalar > 0).all():
         return quaternion

@@ -109,7 +109,7 @@ def judge_maps(layout: Layout, maps: Sequence[GivenMap], *, replace: bool) -> di
 
 
 def add_maps(layout: Layout, maps: Sequence[GivenMap], outcomes: Mapping[str, MapOutcome]) -> None:
-    """Add maps to a dataset, or replace its own; the caller holds the writer lock.
+    """Add maps to a dataset, or replace the dataset's maps; the caller holds the writer lock.
 
     Args:
         layout: the dataset.

@@ -20,7 +20,7 @@ about as long as the compilation of a function."""
 
 @compiled_above(PLAIN_ELEMENTS)
 def scales(lat_or_y: float, geodetic: bool) -> tuple[float, float]:
-    """Return metres per unit of longitude (or x) and of latitude (or y) at a latitude: the exact first derivatives."""
+    """Return metres per unit of longitude (or x) and of latitude (or y) at a latitude, as exact derivatives."""
     if not geodetic:
         return 1.0, 1.0
     sin_lat = math.sin(lat_or_y * _RAD_PER_DEG)
@@ -80,7 +80,7 @@ def distance_m(lon_or_x: float, lat_or_y: float, lon_or_x0: float, lat_or_y0: fl
 
 @inner_njit
 def plane_error(lat_or_y: float, radius: float, geodetic: bool) -> float:
-    """Bound the relative error of distances within a radius (m) that use the scales at the centre."""
+    """Return a bound of the relative error of distances within a radius (m), with the scales at the centre."""
     if not geodetic:
         return 1e-12
     return 4.0 * radius / _EARTH_M * (1.0 + abs(math.tan(lat_or_y * _RAD_PER_DEG))) + 1e-6

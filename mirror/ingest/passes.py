@@ -51,7 +51,7 @@ class PoseSlice:
     unknown: Bool
 
     def poses_known(self, stamps_ns: Int64) -> Bool:
-        """Mark at which of (M,) stamps the vehicle's pose is known: at poses, and between poses with no gap."""
+        """Mark which of (M,) stamps have a known vehicle pose: at poses, and between poses without a gap."""
         after = np.searchsorted(self.timestamp_ns, stamps_ns, side="left")
         inside = (stamps_ns >= self.timestamp_ns[0]) & (stamps_ns <= self.timestamp_ns[-1])
         after = np.minimum(after, len(self.timestamp_ns) - 1)

@@ -39,7 +39,7 @@ class StepRule(NamedTuple):
 
 
 class Figures(NamedTuple):
-    """Measured figures of a pass; also the columns of `FIGURES`.
+    """Measured figures of a pass, which are also the columns of `FIGURES`.
 
     Attributes:
         path_m: driven length.
@@ -229,7 +229,7 @@ def _find_cut(away_m: Float64, away_ns: Int64) -> int:
 
 @compiled_above(PLAIN_ELEMENTS)
 def cut_standstills(fixes: Fixes, rule: StepRule, visits: Records, limit_ns: int, out: Records) -> int:
-    """Cut standstills that are longer than a limit out of visits; the remaining parts are visits themselves.
+    """Cut standstills longer than a limit out of visits; each remaining part becomes a visit.
 
     A standstill lasts from a counted point to the last fix before the next counted point or the crossing. At the end of
     a recording and before a gap it lasts to the end. If a visit consists of nothing but a standstill, an empty part

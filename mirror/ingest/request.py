@@ -128,7 +128,7 @@ class IngestReport:
 
     @property
     def other_licences(self) -> list[str]:
-        """Licences that recordings state and the dataset does not, in order."""
+        """Licences that recordings state and the dataset does not state, in order."""
         stated = {drive.info.licence for drive in self.drives.values() if drive.info.licence}
         return sorted(stated - {self.licence})
 

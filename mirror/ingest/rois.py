@@ -67,7 +67,7 @@ def read_rois(path: Path) -> list[Roi]:
 
 
 def parse_roi(text: str) -> Roi:
-    """Return a ROI from the command line: ``lon,lat[,radius_m[,scene_id]]``.
+    """Parse a ROI from the command line: ``lon,lat[,radius_m[,scene_id]]``.
 
     Raises:
         UsageError: not of that form, or off the globe.

@@ -113,7 +113,7 @@ class _Area:
 
 
 class RoiTrigger:
-    """The trigger for a set of ROIs. One object serves any number of tracks and threads.
+    """The trigger for a set of ROIs, usable for any number of tracks and threads.
 
     Args:
         rois: regions of interest. A track is compared with the ROIs of its own frame.

@@ -260,7 +260,7 @@ class DatasetView:
             yield from self.layer_folders(folder.name)
 
     def listed_files(self) -> Iterator[tuple[Path, FileEntry]]:
-        """Yield the files that manifests list, the index's included."""
+        """Yield the files that manifests list, including the files of the index."""
         indexed = {} if self.index_manifest is None else {self.layout.index: self.index_manifest}
         for folder, manifest in {**self.folder_manifests, **indexed}.items():
             for name, entry in manifest.files.items():

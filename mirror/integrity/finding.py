@@ -7,7 +7,7 @@ from enum import IntEnum, StrEnum
 
 
 class Severity(StrEnum):
-    """Severity of a finding: with an error the dataset is wrong, with a warning doubtful; an info is only a note."""
+    """Severity of a finding: with an error the dataset is wrong, with a warning doubtful; info is only a note."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -15,7 +15,7 @@ class Severity(StrEnum):
 
 
 class Cost(IntEnum):
-    """The amount that a rule reads: tables and documents; sizes and ends of files; all bytes, images decoded."""
+    """The amount that a rule reads: tables and documents; sizes and ends of files; all bytes, with decoded images."""
 
     TABLES = 0
     FILES = 1

@@ -15,7 +15,7 @@ _UNIT_TOLERANCE = 1e-6
 
 
 class MotionColumns:
-    """Columns derived from N poses. A value that cannot be computed is NaN, which compares as false.
+    """Columns derived from N poses, with NaN, which compares as false, where a value cannot be computed.
 
     Args:
         poses: poses of any number of files.

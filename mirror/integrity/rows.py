@@ -67,7 +67,7 @@ class TableRows:
         return is_valid(self.data.column(name))
 
     def text_codes(self, name: str) -> tuple[Int64, list[str]]:
-        """Return the codes (N,) of a column of strings, -1 where null, and the sorted strings that the codes number."""
+        """Return the codes (N,) of a column of strings, -1 where null, and the sorted strings that the codes index."""
         if name not in self._words:
             column = self.data.column(name)
             if not pa.types.is_dictionary(column.type):

@@ -117,7 +117,7 @@ class SceneView:
 
     @cached_property
     def camera_errors(self) -> Mapping[int, UsageError]:
-        """Errors by row of `all_calibrations`, for rows that are no valid camera."""
+        """Errors by row of `all_calibrations`, for rows without a valid camera."""
         return self._made_cameras[1]
 
     @cached_property

@@ -15,7 +15,7 @@ from mirror.plugins import PluginKind, list_parts
 
 @dataclass(frozen=True)
 class Capabilities:
-    """The capabilities of a method besides `reconstruct` and `open`; each needs a function.
+    """The capabilities of a method beyond `reconstruct` and `open`, each of which needs a function.
 
     Attributes:
         renders_depth: its renderers have `render` (`mirror.methods.depth_renderers.DepthRenderer`), which simulators

@@ -112,7 +112,7 @@ def checked_renderer(name: str, render: Callable[[RenderView], UInt8]) -> Callab
 
 
 def describe_task(name: str, dataset: Dataset, task: ReconstructionTask) -> Reconstruction:
-    """Return the document of a model that is not finished yet."""
+    """Make the document of a model that is not finished yet."""
     return Reconstruction(
         method=name,
         scene=task.scene,
@@ -125,7 +125,7 @@ def describe_task(name: str, dataset: Dataset, task: ReconstructionTask) -> Reco
 
 
 def require_own(out: Path, document: Reconstruction) -> None:
-    """Require that a folder is empty or holds a model of the same task.
+    """Require that a folder is empty or already holds a model of the same task.
 
     Raises:
         UsageError: it holds something else.

@@ -34,7 +34,7 @@ def load_method(name: str) -> InstalledMethod:
 
 
 def method_label(name: str) -> str:
-    """Return a method's name in documents: its entry point, or ``FILE.py:OBJECT`` without the folder of the file."""
+    """Return a method's name for documents: its entry point, or ``FILE.py:OBJECT`` without the file's folder."""
     return Path(name).name if is_file_reference(name) else name
 
 

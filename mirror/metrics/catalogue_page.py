@@ -39,7 +39,7 @@ def format_tables() -> str:
 
 
 def fill_page(page: str) -> str:
-    """Replace the part of a page between its marks by the tables.
+    """Replace the part of a page between two marks by the tables.
 
     Raises:
         ValueError: the page has no marks.

@@ -67,7 +67,7 @@ def as_array(value: Pixels, what: str) -> AnyArray:
 
 
 def as_numbers(values: Numbers, what: str, dtype: type[np.float64] | None = None) -> AnyArray:
-    """Return the numbers of a list, an array or a torch tensor.
+    """Return the numbers of a list, an array or a torch tensor as an array.
 
     Args:
         values: the numbers.
@@ -157,7 +157,7 @@ def as_masks(mask: Pixels | None, layout: Layout | None, count: int) -> Sequence
 
 
 def channels_last(value: Pixels, what: str, layout: Layout | None) -> AnyArray:
-    """Return the pixels with the channels as the last axis, contiguous where a layout is given.
+    """Return the pixels with the channels on the last axis, contiguous if a layout is given.
 
     Raises:
         UsageError: as of `as_images`.

@@ -97,7 +97,7 @@ DetectionPool: TypeAlias = GuardedPool[DetectionTask, Detected]
 
 
 def detection_pool(root: Path, choices: Sequence[DetectorChoice], *, workers: int, timeout_s: float) -> DetectionPool:
-    """Return the processes that search images of a dataset.
+    """Open the processes that search images of a dataset.
 
     Args:
         root: the dataset's folder.
@@ -170,7 +170,7 @@ def _hash_conditions(task: DetectionTask, hashes: ContentHashes) -> str:
 
 
 def make_search(root: str, choices: Sequence[DetectorChoice]) -> Callable[[DetectionTask], Detected]:
-    """Make the function that searches an image, in the process of a worker."""
+    """Make the function that searches an image in a worker process."""
     import cv2
 
     # The processes share the cores.
@@ -200,7 +200,7 @@ def make_search(root: str, choices: Sequence[DetectorChoice]) -> Callable[[Detec
 def search_upright(
     pixels: UInt8, orientation: int, detectors: Iterable[Detector], skipped: Bool | None
 ) -> tuple[list[Region], dict[str, int]]:
-    """Run detectors on an image that is turned upright, and map their regions to the stored raster.
+    """Run detectors on an image turned upright, and map the found regions to the stored raster.
 
     Args:
         pixels: (H, W, 3) stored raster, RGB.

@@ -105,7 +105,7 @@ def apply_orientation(data: bytes, codec: Codec, file: str) -> bytes:
 
 
 def turn_upright(pixels: UInt8, orientation: int) -> UInt8:
-    """Turn a stored raster (H, W, ...) as its EXIF orientation 1 to 8 says."""
+    """Turn a stored raster (H, W, ...) upright by its EXIF orientation, 1 to 8."""
     turned = pixels.swapaxes(0, 1) if orientation >= 5 else pixels
     vertical, horizontal = orientation in (3, 4, 7, 8), orientation in (2, 3, 6, 7)
     return np.ascontiguousarray(turned[:: -1 if vertical else 1, :: -1 if horizontal else 1])

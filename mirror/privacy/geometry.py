@@ -53,7 +53,7 @@ def propagate(
 
 
 def visible_objects(dataset: Dataset, traversal_id: str) -> dict[ImageKey, int]:
-    """Return the number of boxes that are visible in each image of a traversal; images without geometry are absent."""
+    """Count the visible boxes in each image of a traversal; images without geometry are left out."""
     counts: dict[ImageKey, int] = {}
     for frame in dataset.where(traversal=traversal_id).frames():
         for name, image in frame.images.items():

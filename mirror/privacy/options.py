@@ -15,7 +15,7 @@ from mirror.version import __version__
 
 @dataclass(frozen=True)
 class SkipRules:
-    """Rules for places where no detector searches. Each skipped tile and image is counted in the log.
+    """Rules for places where no detector searches; each skipped tile and image is counted in the log.
 
     Attributes:
         ego: tiles that show the recording vehicle only, by the rig's static mask.

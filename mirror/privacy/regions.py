@@ -122,7 +122,7 @@ def covered_share(box_px: Sequence[float], others: Sequence[Sequence[float]]) ->
 
 
 def merged(regions: Iterable[Region], overlap: float = 0.9) -> list[Region]:
-    """Leave out regions that a region of the same kind with a higher score covers.
+    """Return the regions without those that a region of the same kind with a higher score covers.
 
     The highest score comes first.
 

@@ -74,7 +74,7 @@ class RemovalExample:
 
 
 def read_examples(dataset: Dataset, count: int = 4) -> list[RemovalExample]:
-    """Read the largest removed regions of a view before and after, faces and plates in turns, each of another image.
+    """Read the largest removed regions of a view, before and after, each of another image, faces and plates in turns.
 
     Args:
         dataset: a dataset with its recorded images; of a release there are no examples.

@@ -87,7 +87,7 @@ class Calibration(Document):
 
 
 def require_covariance(covariance: Float64) -> None:
-    """Refuse 36 row-major values that are not a 6x6 covariance.
+    """Raise an error unless 36 row-major values are a 6x6 covariance.
 
     The tolerance allows for values that were rounded to four digits.
 

@@ -24,7 +24,7 @@ def write_calibrations(root: Path, calibrations: list[Calibration]) -> None:
 
 
 def require_lens_place(root: Path, camera: str, mounting: tuple[float, ...] | None) -> None:
-    """Refuse a recording that cannot take the lens of a camera, before the lens is estimated.
+    """Refuse, before a lens is estimated, a recording that cannot take the lens of a camera.
 
     Raises:
         RecordingError: there is no such camera, or its factory calibration has intervals of validity.

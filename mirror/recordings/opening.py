@@ -130,7 +130,7 @@ def read_json(file: Path) -> Any:
 
 
 def read_array(file: Path) -> Float64:
-    """Read a NumPy file of real numbers as float64; the header cannot claim more memory than the file has bytes for.
+    """Read a NumPy file of real numbers as float64, without trusting its header for more bytes than the file has.
 
     Raises:
         RecordingError: the file is missing, broken or shorter than its header claims, or does not hold real numbers.

@@ -54,7 +54,7 @@ def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
 
 
 def require_files_inside(root: Path, names: Sequence[str], *, file: Path) -> list[Path]:
-    """Return the paths of many files that a recording names; see `require_inside`. Each folder is followed once.
+    """Return the paths of many files that a recording names, resolving each folder once; see `require_inside`.
 
     Args:
         root: the recording's folder.

@@ -13,7 +13,7 @@ PAUSE_PERIODS: Final = 1.5
 
 
 def count_missing_images(stamps_ns: Int64) -> int:
-    """Return the number of images that fit into the pauses of a camera at its own rate.
+    """Return the number of images, at a camera's own rate, that fit into the camera's pauses.
 
     The period is the median step. A pause of n periods counts as n - 1 missing images. Images that are missing before
     the first or after the last image leave no pause and are not counted.

@@ -135,7 +135,7 @@ class CameraInfo:
 
 @dataclass(frozen=True)
 class RigInfo:
-    """The cameras of a vehicle; ``reference_camera`` defines the frames."""
+    """The cameras of a vehicle, of which ``reference_camera`` defines the frames."""
 
     rig_id: str
     cameras: tuple[CameraInfo, ...]
@@ -162,7 +162,7 @@ class ImageStream(Protocol):
 
     @property
     def codec(self) -> str:
-        """``jpeg`` or ``png``: the format of `path` and `read`; ``video``: `read` gives JPEG, decoded from a video."""
+        """``jpeg`` or ``png``, as `path` and `read` give it; or ``video``, of which `read` gives JPEG images."""
         ...
 
     @property

@@ -69,7 +69,7 @@ def codec_of_name(file: PurePath) -> str:
 
 
 def is_decodable(data: bytes) -> bool:
-    """Return whether the header of a JPEG or PNG states a size of camera images: a small file can hold 10^9 pixels."""
+    """Return whether the header of a JPEG or PNG states a camera's image size, as a small file can hold 10^9 pixels."""
     try:
         width, height = read_raster_size(data, "image")
     except RecordingError:

@@ -17,7 +17,7 @@ EXACT_FLOAT64: Final = 2**53
 
 
 def cast_exactly(column: pa.ChunkedArray, field: pa.Field) -> pa.ChunkedArray:
-    """Cast a column to the type of a field; timestamps become nanoseconds in columns whose name ends in ``_ns``.
+    """Cast a column to a field's type; timestamps become nanoseconds if the column's name ends in ``_ns``.
 
     Args:
         column: (N,) the values.

@@ -62,7 +62,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def remove_temporaries(folder: Path) -> None:
-    """Remove the temporary files of `write_bytes` that killed writers left in a folder and below.
+    """Remove temporary files that killed writers (`write_bytes`) left in a folder and below.
 
     Links to folders are not followed. No other process may be writing there.
     """
@@ -232,7 +232,7 @@ class TableWriter:
         return self._temporary
 
     def abandon(self) -> None:
-        """Remove the temporary file, and its folder if that is empty."""
+        """Remove the temporary file, and its folder if that is then empty."""
         with suppress(OSError):
             self._writer.close()
         self._temporary.unlink(missing_ok=True)
@@ -294,7 +294,7 @@ def read_table(
 
 
 def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Cast rows to a table's schema; a column that a later version added and that is absent is null.
+    """Cast rows to a table's schema; an absent column that a later version added becomes null.
 
     Raises:
         SchemaError: a column is missing, unknown, of another type, or has a null that is not allowed; file, table,

@@ -44,7 +44,7 @@ class LineReader(Generic[Row]):
         self._bytes, self._lines = 0, 0
 
     def read(self) -> list[tuple[int, Row]]:
-        """Read the complete lines that are new; returns the number of each, from 1, and its row.
+        """Read the complete new lines; returns the number of each, from 1, and its row.
 
         Raises:
             DatasetError: the file cannot be read, or a complete line is broken; the error names it.

@@ -46,7 +46,7 @@ def require_inside(root: Path, path: str | Path) -> Path:
 
 
 def is_file_name(path: str | Path) -> bool:
-    """Return whether a file system can have a path: no NUL, at most 255 bytes in a part and 4095 in all."""
+    """Return whether a file system can hold a path: no NUL, at most 255 bytes per part and 4095 in all."""
     data = os.fsencode(path)
     return b"\0" not in data and len(data) <= _MAX_PATH and max(map(len, data.split(b"/"))) <= _MAX_PART
 

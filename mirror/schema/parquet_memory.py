@@ -37,7 +37,7 @@ def require_memory(
     row_group: int | None = None,
     copies: float = 2.0,
 ) -> None:
-    """Refuse rows that do not fit into the free memory, before any is read. Their number alone is no reason to refuse.
+    """Refuse, before reading, rows that do not fit into the free memory; their number alone does not matter.
 
     The footer gives the rows of each row group; columns of fixed width take their width, others at least what the file
     states. Without ``/proc/meminfo`` nothing is known of the memory, and nothing is refused.

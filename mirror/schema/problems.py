@@ -42,7 +42,7 @@ def describe_problem_and_value(details: ErrorDetails) -> str:
 
 
 def describe_expected(details: ErrorDetails) -> str:
-    """Describe a right value, such as ``a number greater than 0``."""
+    """Describe a valid value, such as ``a number greater than 0``."""
     expected = describe_problem(details).removeprefix("Input should be ")
     return f"a number {expected}" if expected.startswith(("greater", "less")) else expected
 

@@ -160,7 +160,7 @@ class Errors:
         return {name: CameraClock(int(offset), int(error)) for name, offset, error in zip(cameras, known, errors)}
 
     def draw_losses(self, count: int, rng: np.random.Generator) -> Bool:
-        """Draw which of a camera's images are lost: (count,), True where lost."""
+        """Draw the lost images of a camera: (count,), True where lost."""
         return rng.random(count) < self.dropped
 
 

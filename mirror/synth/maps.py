@@ -16,7 +16,7 @@ from mirror.traffic.lanes.network import Lane, Network
 
 
 def street_map(plan: StreetPlan) -> RoadMap:
-    """Export the map of a street: all its lanes, its carriageways as drivable area, zebra crossings and signals.
+    """Export the map of a street: all lanes, the carriageways as drivable area, zebra crossings and signals.
 
     The drivable area reaches from kerb to kerb, parking and cycle lanes and hard shoulders included; on a road without
     kerbs it ends at the edge of the carriageway.

@@ -67,7 +67,7 @@ def parse_public_seed(text: str, place: str) -> int:
 
 
 def name_seed(seed: int) -> str:
-    """Name a seed in a message; a secret seed is not shown."""
+    """Name a seed for a message, without showing a secret seed."""
     return "its secret seed" if is_secret_seed(seed) else f"seed {seed}"
 
 
@@ -90,14 +90,14 @@ def random_stream(purpose: str, seed: int, *words: int) -> np.random.Generator:
 
 
 def derive_seed(purpose: str, seed: int, *words: int, public: int) -> int:
-    """Derive a secret seed for a purpose from a secret seed; of a public seed, return ``public``."""
+    """Derive a secret seed for a purpose from a secret seed; for a public seed, return ``public``."""
     if is_secret_seed(seed):
         return 1 << _BITS | int.from_bytes(_digest(purpose, seed, words)) >> _BITS
     return public
 
 
 def derive_hash_seed(purpose: str, seed: int, *words: int, public: int) -> int:
-    """Derive a seed of 31 bits, for integer hashes, from a secret seed; of a public seed, return ``public``."""
+    """Derive a 31-bit seed, for integer hashes, from a secret seed; for a public seed, return ``public``."""
     return derive_seed(purpose, seed, *words, public=public) % _INTEGER_HASHES if is_secret_seed(seed) else public
 
 

@@ -19,7 +19,7 @@ def is_compiled(tensor: Tensor) -> bool:
 
 @contextmanager
 def plain_torch() -> Iterator[None]:
-    """Compute in plain torch on the CPU too, as a GPU does, to compare both forms.
+    """Compute in plain torch on the CPU too, to compare with the compiled kernels.
 
     Only what has both forms changes: the rasterizer of the CPU stays compiled.
     """

@@ -50,7 +50,7 @@ def abs_(typing_context: Any, a: Any) -> Any:
 
 @intrinsic
 def scale_by_power(typing_context: Any, number: Any, shifted: Any) -> Any:
-    """Compute ``number * 2 ** power`` by adding exponents; ``shifted`` is the small power plus 1.5 * 2 ** 23."""
+    """Compute ``number * 2 ** power`` by adding exponents; ``shifted`` is ``power`` (small) plus 1.5 * 2 ** 23."""
 
     def emit(builder: Any, number: Any, shifted: Any) -> Any:
         integers = ir.VectorType(I32, WIDTH)

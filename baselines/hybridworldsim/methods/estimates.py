@@ -35,13 +35,13 @@ class TableSizes:
 
 
 def estimate_bytes(sizes: TableSizes, width_px: int, height_px: int) -> int:
-    """Estimate the bytes of memory that the training of a block takes at most, with its cached images."""
+    """Estimate the peak memory, in bytes, of training a block, with its cached images."""
     tables = 4 * _COPIES * sizes.numbers
     return tables + _PER_GAUSSIAN * sizes.gaussians + _PER_PIXEL * width_px * height_px + CACHE_BYTES + _LIBRARIES
 
 
 def estimate_task_bytes(sizes: TableSizes, task: ReconstructionTask) -> int:
-    """Estimate the bytes of memory that the training of a block of a task takes at most; images are square at most."""
+    """Estimate the peak memory, in bytes, of training a block of a task, if images are square at most."""
     width_px = task.protocol.pixels.max_width_px or _STEP_WIDTH_PX
     return estimate_bytes(sizes, width_px, width_px)
 

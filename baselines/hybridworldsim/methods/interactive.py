@@ -59,7 +59,7 @@ class InteractiveStreet:
 
     @property
     def appearances(self) -> tuple[TrainedAppearance, ...]:
-        """The trained traversals."""
+        """The trained traversals, whose appearances can be mixed."""
         found = {
             camera.traversal_id: TrainedAppearance(camera.traversal_id, camera.light, camera.weather)
             for camera in self._cameras

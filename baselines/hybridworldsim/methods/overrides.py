@@ -64,7 +64,7 @@ def override_settings(settings: _Settings, overrides: Mapping[str, str]) -> _Set
 
 
 def settings_document(settings: Any) -> dict[str, Any]:
-    """Return the settings as stored in ``run.json`` and as hashed, under the names that older versions wrote.
+    """Return the settings as ``run.json`` stores them and as they are hashed, under older versions' names.
 
     Args:
         settings: a dataclass, which may hold dataclasses.
@@ -74,7 +74,7 @@ def settings_document(settings: Any) -> dict[str, Any]:
 
 
 def settings_adapter(settings: type[_Settings]) -> TypeAdapter[_Settings]:
-    """Return the adapter of a class of settings, which is made once.
+    """Return the pydantic adapter of a class of settings, made once per class.
 
     Making one takes 3 ms, and a study reads the settings of hundreds of jobs.
     """

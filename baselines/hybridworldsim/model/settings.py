@@ -44,7 +44,7 @@ class ModelLearningRates:
 
 @dataclass(frozen=True)
 class AnchorRefinement:
-    """The schedule that adds and removes anchors, and their largest number.
+    """The schedule that adds and removes anchors, and the largest number of anchors.
 
     Attributes:
         begin: progress at which refinement begins.

@@ -61,7 +61,7 @@ class StreetModel(nn.Module):
 
     @property
     def nodes(self) -> tuple[Anchors, CodeGaussians, CodeGaussians]:
-        """Background, ground and sky, the order in which nodes are listed everywhere."""
+        """The nodes background, ground and sky, in the order in which nodes are listed everywhere."""
         return self.background, self.ground, self.sky
 
     def decode(

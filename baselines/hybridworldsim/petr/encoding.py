@@ -20,7 +20,7 @@ def lid_depths(count: int, start_m: float, end_m: float, *, dtype: torch.dtype =
 def matrix_points(
     image_from_frame: Tensor, height: int, width: int, image_size: tuple[int, int], depths: Tensor
 ) -> Tensor:
-    """Return the points of pinhole cameras, as published: pixels at multiples of the stride, without half a pixel.
+    """Return the points of pinhole cameras at pixels at multiples of the stride, without the half pixel, as published.
 
     Args:
         image_from_frame: (N, 4, 4) projection of each camera, onto pixels of the resized image.

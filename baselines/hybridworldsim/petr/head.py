@@ -65,7 +65,7 @@ class HeadOutput:
 
 
 class DetectionHead(nn.Module):
-    """A head that maps features, with the points of the rays that they lie on, to boxes.
+    """A head that maps features, each with the points of its ray, to boxes.
 
     Args:
         settings: sizes and ranges.

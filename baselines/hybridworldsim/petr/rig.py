@@ -41,7 +41,7 @@ EGO_SE3_LIDAR: Final = Poses(
 
 @dataclass(frozen=True)
 class InputRaster:
-    """The raster of the network's images: the lower rows of images of 16:9."""
+    """The raster of the network's images: the lower rows of images with aspect 16:9."""
 
     width_px: int = 800
     height_px: int = 320

@@ -151,11 +151,11 @@ class Simulation:
         return self.route.way.nearest_m(np.array([ego.x_m, ego.y_m])) - self.route.begin_m
 
     def observation_spec(self, cameras: Mapping[str, CameraSpec]) -> ObservationSpec:
-        """Return the specification of observations with given cameras."""
+        """Return the specification of observations with the given cameras."""
         return ObservationSpec(cameras, self.street.vehicle, self.step_s, self.seed)
 
     def route_ahead(self, reach_m: float, step_m: float) -> Float64:
-        """Return points (K, 2) of the route from the place beside the ego on, in the world."""
+        """Return points (K, 2) of the route ahead of the ego, in the world."""
         ego, way = self.now.ego, self.route.way
         along = way.nearest_m(np.array([ego.x_m, ego.y_m])) + np.arange(0.0, reach_m, step_m)
         return np.array([way.at(min(place, way.length_m)) for place in along])

@@ -84,7 +84,7 @@ class TrainableMethod(RenderableModel, Protocol):
 
 @runtime_checkable
 class MovableMethod(TrainableMethod, Protocol):
-    """A `TrainableMethod` that computes on any device: for the capability `takes_device` of its method."""
+    """A `TrainableMethod` that computes on any device, as the capability `takes_device` states."""
 
     def to(self, device: str) -> TrainableMethod:
         """Return the untrained model on a device, named as in torch, with its optimisers made there."""

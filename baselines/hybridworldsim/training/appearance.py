@@ -45,7 +45,7 @@ class AppearanceChoice:
 
 
 def trained_cameras(views: Sequence[RenderView]) -> tuple[TrainedCamera, ...]:
-    """Return the traversals and cameras of training views, each with a sample of its poses."""
+    """Return the traversals and cameras of training views, each with a sample of poses."""
     by_source: dict[Source, list[RenderView]] = {}
     for view in views:
         by_source.setdefault(Source(view.traversal_id, view.camera), []).append(view)

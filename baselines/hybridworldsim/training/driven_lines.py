@@ -63,7 +63,7 @@ class DrivenLines:
 
 
 def chamfer_m(ours: Float64, theirs: Float64) -> float:
-    """Return the sum of the mean distances between two sets of places, each to the nearest of the other set."""
+    """Return the sum of the mean distances from each of two sets of places to the nearest place of the other."""
     return _chamfer_m(cKDTree(ours), cKDTree(theirs))
 
 

@@ -18,7 +18,7 @@ from mirror.protocols.views.view import RenderView
 
 @dataclass(frozen=True)
 class TrainingViews:
-    """Training images as views: raster, lens and pose of each; no image is opened.
+    """Training images as views, with raster, lens and pose of each; no image is opened.
 
     Attributes:
         plan: plan of all training frames; its protocol states the raster and the masks.

@@ -24,7 +24,7 @@ class SkyCube(nn.Module):
         self.faces = nn.Parameter(torch.full((1, 3, size_px, 6 * size_px), _GREY))
 
     def forward(self, viewpoint: Viewpoint) -> Tensor:
-        """Return the sky (H, W, 3) of a viewpoint; its position has no effect."""
+        """Return the sky (H, W, 3) of a viewpoint, whatever its position."""
         return self.sample(ray_directions(viewpoint))
 
     def sample(self, rays: Tensor) -> Tensor:

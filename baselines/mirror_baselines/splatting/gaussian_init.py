@@ -48,7 +48,7 @@ def initial_gaussians(initial: InitialGeometry, settings: GaussianInit) -> dict[
 
 
 def no_gaussians() -> dict[str, Tensor]:
-    """Return the parameters that `initial_gaussians` returns, of no Gaussian."""
+    """Return the parameters that `initial_gaussians` returns, for zero Gaussians."""
     shapes = {"means": (0, 3), "quats": (0, 4), "scales": (0, 3), "opacities": (0,), "sh0": (0, 1, 3)}
     return {name: torch.empty(shape) for name, shape in shapes.items()}
 

@@ -35,7 +35,7 @@ def find_scripts(character: str) -> frozenset[str] | None:
 
 
 def find_prototype(character: str) -> str:
-    """Return the characters that a character is drawn like, or itself (section 4)."""
+    """Return the characters that a character looks like, or the character itself (section 4)."""
     return _read_prototypes().get(character, character)
 
 

@@ -36,7 +36,7 @@ class SmoothedPath:
 def smooth_velocity(
     time_s: Float64, measured: Float64, sigma_m: Float64, acceleration: float, speed_mps: float
 ) -> SmoothedPath:
-    """Smooth with the model of constant velocity.
+    """Smooth measured positions with the model of constant velocity.
 
     Args:
         time_s: (F,) ascending.
@@ -70,7 +70,7 @@ def smooth_velocity(
 def smooth_turning(
     time_s: Float64, measured: Float64, sigma_m: Float64, acceleration: float, start: SmoothedPath
 ) -> SmoothedPath:
-    """Smooth with the model of constant turn rate and velocity.
+    """Smooth measured positions with the model of constant turn rate and velocity.
 
     Args:
         time_s: (F,) ascending.

@@ -123,7 +123,7 @@ class Adjustment:
 
 
 def rotations(matrices: Float64) -> Poses:
-    """Return the poses that only rotate, by matrices (N, 3, 3)."""
+    """Make poses that only rotate, from matrices (N, 3, 3)."""
     whole = np.tile(np.eye(4), (len(matrices), 1, 1))
     whole[:, :3, :3] = matrices
     return Poses.from_matrix(whole)

@@ -45,7 +45,7 @@ class MatchingOptions:
 
 
 def choose_pairs(rigs: MovingRigs, options: MatchingOptions) -> Int64:
-    """Return the pairs (N, 2) of images that probably show the same surfaces, the first number below the second.
+    """Return the pairs (N, 2) of images that probably show the same surfaces, the smaller number first.
 
     For each image the images are counted that see points on its rays, at three assumed distances, at a similar angle.
     """

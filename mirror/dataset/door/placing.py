@@ -18,7 +18,7 @@ _LINKED: Final = (".jpg", ".jpeg", ".png")
 
 
 def place_file(source_root: Path, name: str, target_root: Path) -> None:
-    """Place a file below another root. A target stays only if its bytes are those of the source.
+    """Place a file below another root; an existing target is kept only if it has the bytes of the source.
 
     Args:
         source_root: the dataset.
@@ -56,7 +56,7 @@ def place_file(source_root: Path, name: str, target_root: Path) -> None:
 
 
 def is_same_file(source: Path, target: Path) -> bool:
-    """Return whether a target exists and has the bytes of its source: the same file, or equal hashes."""
+    """Return whether a target exists and has the bytes of its source: as the same file, or by equal hashes."""
     try:
         if target.is_symlink() or not target.is_file() or target.stat().st_size != source.stat().st_size:
             return False

@@ -162,7 +162,7 @@ def follow_scan(
     known: UInt8,
     out: UInt8,
 ) -> tuple[int, int, int, int]:
-    """Follow a scan, and copy the bytes that belong to the image.
+    """Follow a scan of a JPEG, and copy the bytes that belong to the image.
 
     Args:
         data: the bytes of the file.

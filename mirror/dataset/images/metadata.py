@@ -59,7 +59,7 @@ def list_metadata(data: bytes, file: str | PurePath) -> list[str]:
 
 
 def strip_metadata(data: bytes, file: str | PurePath) -> bytes:
-    """Remove everything that decoding does not need; the decoded pixels are the same.
+    """Remove everything that decoding does not need, without changing the decoded pixels.
 
     Kept are the tables that scans use, the frame and the scans of a JPEG up to its last block, with a JFIF segment
     without thumbnail or the colour transform of an Adobe segment where it had one; the header, the used colours, the

@@ -82,7 +82,7 @@ class Catalog:
 
     @cached_property
     def withheld(self) -> frozenset[str]:
-        """Paths of the images that a published dataset withholds; empty: the dataset is complete."""
+        """Paths of the images that a published dataset withholds; empty for a complete dataset."""
         return read_withheld(self.store)
 
     def row_groups(self, name: str) -> RowGroups:

@@ -32,7 +32,7 @@ def require_known(what: str, value: str, known: Iterable[str]) -> None:
 
 
 def parse_interval(time: tuple[int, int] | None) -> tuple[int, int] | None:
-    """Return an interval of stamps in nanoseconds as two integers; None stays None.
+    """Return an interval of stamps in nanoseconds as two integers, or None for None.
 
     Raises:
         UsageError: it is not a pair of whole numbers, or does not begin before its end.

@@ -72,7 +72,7 @@ def count_rows(catalog: Catalog, filters: Filters, name: str) -> int:
 
 
 def select_parts(catalog: Catalog, filters: Filters, name: str) -> Iterator[RowGroupPart]:
-    """Yield the row groups that have rows which pass the filters."""
+    """Yield the row groups that contain rows which pass the filters."""
     schema = TABLES[name].schema
     stamped, placed = "timestamp_ns" in schema.names, "longitude_deg" in schema.names
     groups = catalog.row_groups(name)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 
 def seeded_rank(seed: int, name: str) -> bytes:
-    """Return the sort key of a name for a seed. It does not depend on the other names."""
+    """Return the sort key of a name for a seed, independent of other names."""
     return hashlib.blake2b(name.encode(), key=str(seed).encode(), digest_size=16).digest()
 
 

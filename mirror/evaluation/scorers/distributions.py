@@ -48,7 +48,7 @@ class DistributionScorer:
     version = 2
 
     def hidden_use(self, plan: Plan) -> HiddenUse:
-        """Return ``optional`` if edits are scored against their exact truth too: sets need recorded images alone."""
+        """Return ``optional`` if edits are also scored against their exact truth; the distributions do not need it."""
         return "optional" if fidelity_metrics(plan.protocol) else "unused"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:

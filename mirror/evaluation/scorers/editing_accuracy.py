@@ -44,7 +44,7 @@ class EditingScorer:
         return "optional"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """Return no names: the metrics need no weights; an extractor loads its own."""
+        """Return no names: the metrics need no weights; an extractor loads its own weights."""
         return {}
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:

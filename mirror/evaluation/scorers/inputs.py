@@ -98,7 +98,7 @@ class ScoringInputs:
         return self.protocol.fitted_part if self.manifest.appearance.policy == "fitted" else None
 
     def scored_mask(self, view: RenderView) -> Bool:
-        """Return the mask (H, W) of scored pixels: the protocol's, without pixels that the method was fitted to."""
+        """Return the mask (H, W) of scored pixels: the protocol's mask without pixels that the method was fitted to."""
         scored = self.truth.scored_mask(view)
         part = self.fitted_part
         if part is not None:
@@ -106,7 +106,7 @@ class ScoringInputs:
         return scored
 
     def read(self, path: str, max_bytes: int = MAX_TABLE_BYTES) -> bytes:
-        """Read a file of the submission: the same bytes that were checked and hashed before the scoring.
+        """Read a file of the submission, with the bytes that were checked and hashed before the scoring.
 
         Raises:
             UntrustedError: the file cannot be read, or was changed after the check.

@@ -27,7 +27,7 @@ class ReconstructionScorer:
     version = 1
 
     def hidden_use(self, plan: Plan) -> HiddenUse:
-        """Return ``required`` if any group has moved cameras: nobody recorded their images."""
+        """Return ``required`` if any group has moved cameras, whose images nobody recorded."""
         return "required" if any(group.ego_shift_m for group in plan.protocol.groups) else "unused"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
@@ -67,7 +67,7 @@ class ReconstructionScorer:
         return values
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[GroupFigure]:
-        """Return the means of each group in the protocol's order, of the PSNR also over all pixels of a group.
+        """Return the means of each group in the protocol's order, and the PSNR over all pixels of a group.
 
         Where several groups rank, the means over these groups follow.
         """

@@ -183,7 +183,7 @@ def sum_costs(documents: Iterable[Reconstruction], rendered_on: str = CPU) -> Ru
 
 
 def describe_appearance(appearance: AppearancePolicy) -> Appearance:
-    """Describe the appearance of images that were not trained on, for a manifest."""
+    """Describe the appearance of images of untrained traversals and cameras, for a manifest."""
     if appearance.policy == "nearest":
         return Appearance(policy="nearest-traversal", description="by the symmetric chamfer distance of driven lines")
     if appearance.policy == "mean":

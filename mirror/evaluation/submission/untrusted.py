@@ -71,7 +71,7 @@ def open_untrusted(path: Path) -> UntrustedFiles:
 
 
 class Folder:
-    """A folder; its links and devices are listed as refused and never followed.
+    """A submission in a folder; links and devices in it are listed as refused and never followed.
 
     Attributes:
         where: path of the folder.

@@ -116,7 +116,7 @@ class Camera:
 
     @property
     def angle_limit_rad(self) -> float:
-        """Angle from the optical axis up to which the model is invertible, and points have pixels."""
+        """Angle from the optical axis up to which the model is invertible and points have pixels."""
         return self.lens.angle_limit
 
     def project(self, points_camera: npt.ArrayLike) -> Projection:
@@ -143,7 +143,7 @@ class Camera:
         return Projection(uv.reshape(*batch, 2), depth.reshape(batch), valid.reshape(batch))
 
     def unproject(self, uv_px: npt.ArrayLike) -> Rays:
-        """Return the rays that are imaged at pixels: the inverse of `project` to rounding (1e-9 px and better).
+        """Return the rays of pixels: the inverse of `project`, accurate to rounding (1e-9 px or better).
 
         Args:
             uv_px: (..., 2).

@@ -52,7 +52,7 @@ def _polish(polynomial: np.polynomial.Polynomial, root: float) -> float:
 
 
 class InverseTable:
-    """First guesses for the inverse of a function that increases on ``[0, limit)``, to start Newton's method from."""
+    """A table of first guesses for inverting a function that increases on ``[0, limit)`` by Newton's method."""
 
     def __init__(self, function: Callable[[AnyArray], AnyArray], limit: float, reach: float = np.inf) -> None:
         """Tabulate the function.

@@ -58,7 +58,7 @@ class Perspective:
 
     @property
     def angle_limit(self) -> float:
-        """The angle from the axis, in radians, that belongs to `limit`."""
+        """The angle from the axis, in radians, that corresponds to `limit`."""
         return float(np.arctan(self.limit))
 
     def project(self, x: AnyArray, y: AnyArray, z: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:

@@ -16,7 +16,7 @@ _BORDER_POINTS: Final = 256
 
 
 def undistorted(camera: Camera, widest_deg: float = WIDEST_DEG) -> Camera:
-    """Return a pinhole of the same raster that holds a lens's view within an angle of its axis.
+    """Return a pinhole camera of the same raster that covers a lens's view within an angle of its axis.
 
     OpenCV's ``getOptimalNewCameraMatrix`` with alpha = 1 does so for lenses that image a plane; here the border is
     followed by rays, so that fisheyes have one as well. The camera frame stays the same: poses need no change.

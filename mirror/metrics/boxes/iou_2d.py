@@ -81,7 +81,7 @@ def mask_iou(first: Numbers, second: Numbers, *, valid: Numbers | None = None) -
 
 
 def box_iou_2d(first: Numbers, second: Numbers) -> Float64:
-    """Return the intersection over union of boxes along the image's axes.
+    """Return the intersection over union of axis-aligned boxes in an image.
 
     Args:
         first: (..., 4) ``u_min v_min u_max v_max``.

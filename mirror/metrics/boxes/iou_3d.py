@@ -49,7 +49,7 @@ def box_iou_3d(first: Poses, first_lwh_m: Numbers, second: Poses, second_lwh_m: 
 
 
 def box_iou_3d_matrix(first: Poses, first_lwh_m: Numbers, second: Poses, second_lwh_m: Numbers) -> Float64:
-    """Compute `box_iou_3d` of each of N boxes with each of M.
+    """Compute `box_iou_3d` of each of N boxes with each of M boxes.
 
     Args:
         first: N poses.

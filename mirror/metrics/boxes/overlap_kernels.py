@@ -126,7 +126,7 @@ def _cut(ordered: Float64, outside: Float64, inner: int, outer: int) -> Float64:
 def overlaps(
     rotation: Float64, translation: Float64, lwh: Float64, rotation2: Float64, translation2: Float64, lwh2: Float64
 ) -> tuple[Float64, Float64]:
-    """Compute the intersection and the union of pairs of boxes, each pair in a unit of volume of its own.
+    """Compute the intersection and union volumes of pairs of boxes, in cubes of each pair's longest side.
 
     Args:
         rotation: (N, 4) unit quaternions of the first boxes.

@@ -123,7 +123,7 @@ class DetectionBoxes:
 
 
 def in_range(boxes: DetectionBoxes, ego_xy_m: Numbers, config: DetectionConfig) -> Bool:
-    """Mark the boxes that are judged: those nearer to the ego vehicle than their class's range.
+    """Mark the boxes to judge: nearer to the ego vehicle than the range of their class.
 
     Apply it to true and predicted boxes alike. The development kit also leaves out true boxes without a lidar or radar
     point, and two-wheelers in bicycle racks: ``boxes[in_range(...) & (points != 0)]``.

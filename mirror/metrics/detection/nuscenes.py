@@ -107,7 +107,7 @@ def score_tables(
     *,
     absent: AbsentClasses,
 ) -> NuScenesDetection:
-    """Compute `nuscenes_detection` from tables that are already built."""
+    """Compute `nuscenes_detection` from matching tables that are already built."""
     curves: dict[tuple[str, float], Curve] = {}
     for name, table in tables.items():
         period = np.pi if name in config.half_turn_classes else 2 * np.pi

@@ -178,7 +178,7 @@ class PerceptualDistance:
 
 
 def filled(trunk: Trunk, state: Mapping[str, Tensor], *, unused: tuple[str, ...] = ()) -> Trunk:
-    """Return a trunk with the weights of a state dict, strictly."""
+    """Return a trunk filled with the weights of a state dict; every key must match."""
     load_strictly(trunk, state, unused=unused)
     return trunk
 

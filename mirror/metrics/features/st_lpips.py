@@ -95,7 +95,7 @@ def st_lpips_trunk(net: StLpipsNet) -> Trunk:
 
 
 def split_state(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Return the trunk and heads of the published file: ``net.slice2.5.weight`` is layer 5 of the features."""
+    """Split the published file into trunk and heads: ``net.slice2.5.weight`` is layer 5 of the features."""
     layers, heads = {}, {}
     for name, tensor in state.items():
         if name.startswith("net.slice"):

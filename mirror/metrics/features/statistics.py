@@ -166,7 +166,7 @@ class FeatureStatistics:
 
 
 class FeatureAccumulator:
-    """Statistics of features that come in batches of any size; no more than about d + 2048 rows are held."""
+    """An accumulator of statistics of features in batches of any size, which holds at most about d + 2048 rows."""
 
     def __init__(self) -> None:
         self._done: FeatureStatistics | None = None

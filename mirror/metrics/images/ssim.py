@@ -142,7 +142,7 @@ def ssim_map(
 
 
 class Ssim:
-    """An accumulator of SSIM, of which the summary holds the mean over images.
+    """An accumulator of SSIM, whose summary holds the mean over images.
 
     Args:
         preset: as of `ssim`.

@@ -27,7 +27,7 @@ def similarity(
     sample_covariance: bool,
     out: AnyArray,
 ) -> None:
-    """Write SSIM at every pixel that has its whole window.
+    """Write SSIM at every pixel whose whole window lies in the image.
 
     Args:
         render: (h + 2 radius, (w + 2 radius) C), of any type.

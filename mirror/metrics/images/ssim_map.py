@@ -81,7 +81,7 @@ def map_tiles(
     precision: Precision,
     data_range: float,
 ) -> Iterator[AnyArray]:
-    """Yield the part of the map, 64 rows at a time: nothing as large as the image is made.
+    """Yield the SSIM map 64 rows at a time, to avoid arrays as large as the image.
 
     Args:
         render: (H, W, C) whole image.

@@ -185,7 +185,7 @@ class FidInception(nn.Module):
         return features.mean(dim=(2, 3))
 
     def fold(self) -> FidInception:
-        """Fold every normalisation, in place; the layout becomes that in which the CPU's convolutions are fastest."""
+        """Fold every normalisation in place, and change to the layout in which the CPU convolves fastest."""
         for module in self.modules():
             if isinstance(module, Conv):
                 module.fold()

@@ -15,7 +15,7 @@ _BLOCKS = ((3, 64, 2), (64, 128, 2), (128, 256, 3), (256, 512, 3), (512, 512, 3)
 
 
 class BlurredSampling(nn.Module):
-    """Every second sample of the features under a 3x3 binomial filter, reflected by two samples at the border."""
+    """A layer that takes every second sample after a 3x3 binomial filter, reflected by two samples at the border."""
 
     filt: Tensor
 

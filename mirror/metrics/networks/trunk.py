@@ -60,7 +60,7 @@ class Trunk(nn.Module):
 
 
 def convolution(inputs: int, outputs: int, size: int, stride: int = 1, padding: int | None = None) -> list[nn.Module]:
-    """Return a convolution and its rectifier; padded to keep the size by default."""
+    """Make a convolution and its rectifier, by default padded to keep the size."""
     return [
         nn.Conv2d(inputs, outputs, size, stride, size // 2 if padding is None else padding),
         nn.ReLU(inplace=True),

@@ -61,7 +61,7 @@ def _square_from_origin(ax: float, ay: float, bx: float, by: float) -> tuple[flo
 
 @compiled_above(_PLAIN_ELEMENTS)
 def signed_distances(points: Float64, begins: Float64, ends: Float64) -> Float64:
-    """Return the distances (P,) of points (P, 2) from segments (S, 2) to (S, 2).
+    """Return the distances (P,) of points (P, 2) from the segments between points (S, 2) and (S, 2).
 
     They are positive inside (even-odd rule), else negative.
     """

@@ -105,7 +105,7 @@ def combine_factors(
 
 
 def collision_factor(collisions: Sequence[Collision]) -> float:
-    """Return NAVSIM's no-collision factor (NC): 0 if at fault, 0.5 if with objects alone, else 1."""
+    """Return NAVSIM's no-collision factor (NC): 0 for a collision at fault, 0.5 if only with objects, else 1."""
     at_fault = [one for one in collisions if one.is_at_fault]
     if not at_fault:
         return 1.0

@@ -155,7 +155,7 @@ def driven_while(log: StateLog, holds: Bool) -> float:
 
 
 def find_red_lights(log: StateLog, road_map: RoadMap, positions: LanePositions | None = None) -> tuple[RedLight, ...]:
-    """Find the stop lines that the ego's front passes while their signal shows red, or red and amber.
+    """Find the stop lines that the ego's front passes while the signal shows red, or red and amber.
 
     The passing is interpolated between the stamps; the state of the signal is that of the stamp before it. Where a
     lane with a signal has no stop line, its end counts.

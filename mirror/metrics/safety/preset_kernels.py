@@ -122,7 +122,7 @@ def navsim_violation(
     cone: tuple[float, float],
     excluded: Bool,
 ) -> tuple[int, int]:
-    """Find the first stamp, and the agent, at which the ego at constant velocity meets an agent's logged future.
+    """Find the first stamp and agent at which the ego, at constant velocity, meets the agent's logged future.
 
     Both are -1 if there is none.
 

@@ -71,7 +71,7 @@ class NavsimTimeToCollision:
 
 
 def collisions_at_stamps(log: StateLog, between_lanes: Bool) -> tuple[Collision, ...]:
-    """Find collisions as nuPlan does: boxes that touch at a stamp, each agent once, in the order of time.
+    """Find collisions as nuPlan does: boxes that touch at a stamp, each agent once, ordered by time.
 
     Two boxes that pass through each other between stamps are missed, unlike by `find_collisions`.
 

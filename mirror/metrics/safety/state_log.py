@@ -123,7 +123,7 @@ class StateLog:
         return seconds
 
     def stamp_at(self, time_s: float) -> int:
-        """Return the stamp in nanoseconds of a time in seconds since the first stamp."""
+        """Convert a time in seconds since the first stamp to a stamp in nanoseconds."""
         return int(self.stamps_ns[0]) + round(time_s * 1e9)
 
     def kernel_arrays(self) -> tuple[Float64, Float64, Bool]:

@@ -18,7 +18,7 @@ _GOLDEN = 0.3819660112501051
 
 @inner_njit
 def time_to_collision_at(ego: Float64, agent: Float64, halves: Float64, row: int, other: int, share: float) -> float:
-    """Return the time to collision at a share of the step from ``row`` to the next.
+    """Return the time to collision at a fraction of the step from ``row`` to the next row.
 
     Both boxes keep their velocities of that instant.
     """

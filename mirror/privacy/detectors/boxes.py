@@ -50,7 +50,7 @@ def to_regions(boxes: Float64, scores: Float64, kind: Kind, source: str, size_px
 def tiles(
     width_px: int, height_px: int, tile_px: int, overlap_px: int, skipped: Bool | None = None
 ) -> Iterator[tuple[tuple[int, int, int, int], bool]]:
-    """Yield tiles that cover a raster, and whether each is needed.
+    """Yield the tiles that cover a raster, each with whether a detector has to search it.
 
     Args:
         width_px: width of the raster.
@@ -77,7 +77,7 @@ def detect_in_tiles(
     overlap_px: int,
     skipped: Bool | None = None,
 ) -> tuple[Float64, Float64, int]:
-    """Detect in enlarged tiles of an image.
+    """Run a detector on enlarged tiles of an image.
 
     Args:
         find: detects in an image (H, W, 3); returns boxes (N, 4) and scores (N,).

@@ -26,7 +26,7 @@ _OVERLAP: Final = 0.3
 
 
 class EgoBlur:
-    """A detector by path: its input is one image (3, H, W), BGR, uint8; its outputs begin with boxes, labels, scores.
+    """A detector in TorchScript: takes one image (3, H, W), BGR, uint8; returns boxes, labels, scores and more.
 
     Args:
         options: weights and threshold; its authors use 0.9.
@@ -67,7 +67,7 @@ class EgoBlur:
 
 @cache
 def register_operators() -> None:
-    """Define ``torchvision::nms`` and ``torchvision::roi_align`` where no torchvision does."""
+    """Define the operators ``torchvision::nms`` and ``torchvision::roi_align`` unless torchvision defines them."""
     import torch
 
     own = torch.library.Library("torchvision", "FRAGMENT")

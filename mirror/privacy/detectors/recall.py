@@ -32,7 +32,7 @@ class RegionRecall(Document):
 
     @property
     def is_enough(self) -> bool:
-        """Return whether the plates are enough to tell, and the shares at least `ALL` and `NEAR`."""
+        """Return whether there are enough plates, and the shares reach `ALL` and `NEAR`."""
         counted = self.plates >= LEAST_PLATES and self.near_plates > 0
         return counted and self.covered >= ALL * self.plates and self.near_covered >= NEAR * self.near_plates
 
@@ -52,7 +52,7 @@ class SyntheticRecall(Document):
 
 
 def covered_regions(recall: SyntheticRecall, weights_sha256: str) -> frozenset[str]:
-    """Return the regions whose recall is enough, and `ANY` if the recall of all is.
+    """Return the regions with enough recall, and `ANY` if all regions have enough.
 
     The tuple is empty if the recall is that of other weights.
     """

@@ -55,7 +55,7 @@ def default_choices(plate_region: str | None) -> tuple[DetectorChoice, ...]:
 
 
 def parse_choice(text: str) -> DetectorChoice:
-    """Read ``NAME``, ``NAME=FILE``, ``NAME@REGIONS`` or ``NAME=FILE@REGIONS``; regions are separated by commas.
+    """Parse ``NAME``, ``NAME=FILE``, ``NAME@REGIONS`` or ``NAME=FILE@REGIONS``; commas separate regions.
 
     Raises:
         UsageError: the text has another form, or no such detector is installed.

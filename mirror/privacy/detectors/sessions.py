@@ -25,7 +25,7 @@ def resolve_weights(name: str, path: Path | None) -> ResolvedWeights:
 
 
 def hash_weights(name: str, path: Path | None) -> tuple[Path, str]:
-    """Return the file and hash of weights that only the user has.
+    """Return the file and hash of weights that the user supplies.
 
     Raises:
         WeightsUnavailableError: no file is named, or there is none.

@@ -21,7 +21,7 @@ _STRIDE: Final = 32
 
 
 class YoloDetector:
-    """A detector by path; all its classes are of one kind.
+    """A detector of the YOLO family from the user's file of weights; all its classes count as one kind.
 
     Args:
         options: weights and threshold.

@@ -14,7 +14,7 @@ _HEAVY: Final = frozenset(("truck", "bus", "trailer", "construction"))
 
 @dataclass(frozen=True)
 class PlateMount:
-    """The places where the end of a vehicle may carry a plate, above the ground and to both sides of the middle.
+    """The places where the end of a vehicle may carry a plate: heights, and offsets to both sides of the middle.
 
     Attributes:
         low_m: height of the lower edge of the lowest plate.

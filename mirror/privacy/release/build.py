@@ -101,7 +101,7 @@ def build_release(
     progress: ProgressReporter | None = None,
     wait: bool = False,
 ) -> BuildReport:
-    """Build a release of a de-identified dataset. It appears at its place when all checks have passed.
+    """Build a release of a de-identified dataset, which appears at its place once all checks have passed.
 
     Detectors are not run again here: `check_release` does that.
 

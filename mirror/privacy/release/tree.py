@@ -239,7 +239,7 @@ def _write_ledger(
 
 
 def read_plate_regions(layout: Layout, traversals: Iterable[str]) -> set[str | None]:
-    """Read the plate regions that the newest redactions were made for; None stands for a log without a region."""
+    """Read the plate regions of the newest redactions; None stands for a log without a region."""
     found = set()
     for traversal_id in traversals:
         newest = newest_redaction(layout.layers(traversal_id))

@@ -36,7 +36,7 @@ class Raster:
         return self._raster.image(recorded)
 
     def exclude(self, recorded: Bool) -> Bool:
-        """Resample a mask (H, W) of recorded pixels that are not scored to the final raster.
+        """Resample a mask (H, W) of unscored recorded pixels to the final raster.
 
         An undistorted pixel is excluded if any recorded pixel that it is interpolated from is excluded.
         """

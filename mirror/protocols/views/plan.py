@@ -118,7 +118,7 @@ def render_path(group: str, traversal_id: str, camera: str, timestamp_ns: int) -
 
 
 def select_frames(count: int, frames: Frames) -> list[int]:
-    """Select the positions of the rendered frames among `count` frames, ascending."""
+    """Select the indices of the rendered frames among `count` frames, ascending."""
     positions = range(frames.first, count, frames.every)
     return sorted({*positions, *([count - 1] if frames.last and count else [])})
 

@@ -47,7 +47,7 @@ class ImageTimes:
 
 
 def image_times(folder: Path, names: list[str], tz: str | None) -> ImageTimes:
-    """Return the times of images without a table: from their names, else from EXIF data.
+    """Return the times of images without a table of times, from their names or else from EXIF data.
 
     Args:
         folder: the folder of the images.
@@ -120,7 +120,7 @@ def table_times(table: Path, key: str, tz: str | None) -> ImageTimes:
 
 
 def parse_time(text: str, tz: str | None, place: str) -> int:
-    """Return the Unix nanoseconds of a text: a whole number of nanoseconds, or a date and time.
+    """Parse a text as Unix nanoseconds: a whole number of nanoseconds, or a date and time.
 
     Raises:
         RecordingError: it is neither.

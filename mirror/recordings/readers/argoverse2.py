@@ -136,7 +136,7 @@ class Argoverse2Recording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive; its id is the log's, and the dataset names no vehicle, date or weather."""
+        """The drive; its id is the log's id, and the dataset names no vehicle, date or weather."""
         name = to_identifier(self.path.resolve().name)
         return DriveInfo(
             drive_id=name,

@@ -203,7 +203,7 @@ class BoreasRecording:
         return dict(sorted(images.items()))
 
     def images(self) -> Mapping[str, ImageStream]:
-        """Return the camera's images; a file name is the time of mid-exposure, exposure lengths are not recorded."""
+        """Return the camera's images; a file's name is taken as mid-exposure, as exposure lengths are not recorded."""
         if self.rig is None:
             return {}
         files = self._image_files

@@ -104,7 +104,7 @@ class Comma2k19Recording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive; its id is the route's name, to which a single segment adds its number."""
+        """The drive; its id is the route's name, with the number of a single segment appended."""
         folder = self.path.resolve()
         is_segment = self.segments[0] == self.path
         route = folder.parent.name if is_segment else folder.name

@@ -45,7 +45,7 @@ def sample_directions(largest_angle_rad: float, angles: int = 96, turns: int = 4
 def fit_f_theta(
     directions: Float64, uv_px: Float64, *, width_px: int, height_px: int, aspect: float = 1.0, degree: int = _DEGREE
 ) -> FThetaFit:
-    """Fit principal point and polynomial by least squares; both enter linearly.
+    """Fit principal point and polynomial by linear least squares.
 
     Args:
         directions: (N, 3) unit vectors in the camera frame.

@@ -230,7 +230,7 @@ class CsvRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive; ids are from the options or the name, the weather is its column's most frequent word."""
+        """The drive; ids come from the options or the name, the weather is the most frequent word of its column."""
         path = self.path.resolve()
         name = path.stem if path.is_file() else path.name
         return DriveInfo(

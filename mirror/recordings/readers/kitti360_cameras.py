@@ -118,7 +118,7 @@ def _fisheye(root: Path, camera: str, mounting: Float64) -> Calibration:
 
 
 def mei_pixels(directions: Float64, numbers: Mapping[str, float]) -> Float64:
-    """Return the pixels (N, 2) of Mei's model for (N, 3) unit vectors; the image's corner is at (0, 0)."""
+    """Project unit vectors (N, 3) to pixels (N, 2) by Mei's model; the image's corner is at (0, 0)."""
     with np.errstate(all="ignore"):
         x, y = (directions[:, :2] / (directions[:, 2:] + numbers["xi"])).T
         squared = x * x + y * y

@@ -86,7 +86,7 @@ def read_named_values(file: Path) -> dict[str, list[str]]:
 
 
 def to_numbers(lines: Mapping[str, list[str]], name: str, shape: tuple[int, ...], file: Path) -> Float64:
-    """Return the numbers of a line that `read_named_values` has read.
+    """Convert a line that `read_named_values` has read to numbers.
 
     Raises:
         RecordingError: the line is missing, or has other values; it is named.
@@ -204,7 +204,7 @@ def to_frame_stream(camera: str, files: Mapping[int, Path], by_frame: Int64, pla
 
 
 def camera_centre(projection: Float64, name: str, file: Path) -> Float64:
-    """Return the place of a rectified camera in the frame of its projection ``K [I | t]``.
+    """Return the place of a rectified camera in the frame in which its projection is ``K [I | t]``.
 
     Args:
         projection: (3, 4).

@@ -226,7 +226,7 @@ class KittiOdometryRecording:
         return replace(to_ego_track(camera, above_road(CAMERA_HEIGHT_M)), bad=camera.bad)
 
     def calibrations(self) -> pa.Table:
-        """Return the cameras that have images; their size is that in the header of their first image."""
+        """Return the cameras that have images, with the size in the header of their first image."""
         file = require_file(self.root, f"{self._folder}/calib.txt")
         lines = read_named_values(file)
         calibrations: list[tuple[Stage, Calibration]] = []

@@ -284,7 +284,7 @@ class KittiRawRecording:
         return streams
 
     def boxes(self) -> pa.Table | None:
-        """Return the boxes of the tracklets, at the stamps of the first camera, or else of the lidar."""
+        """Return the boxes of the tracklets, at the stamps of the first camera, else of the lidar."""
         file = find_file(self.root, f"{self.drive}/{_BOXES}") if self.has_boxes else None
         if file is None:
             return None

@@ -151,7 +151,7 @@ class NcoreRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive; ids are from the sequence's, and the format states neither vehicle nor conditions."""
+        """The drive; ids come from the sequence's id, and the format states neither vehicle nor conditions."""
         name = to_identifier(f"ncore_{self._stores.sequence_id}")
         return DriveInfo(
             drive_id=name,

@@ -189,7 +189,7 @@ class NcoreStores:
             return {edge: np.array(pose, np.float64).reshape(4, 4) for edge, pose in reader.get_static_poses()}
 
     def trajectory(self, source: str, target: str) -> tuple[Int64, Float64]:
-        """Return the stamps (N,) in microseconds and (N, 4, 4) matrices of a frame that moves in another.
+        """Return the stamps (N,) in microseconds and matrices (N, 4, 4) of a frame that moves in another frame.
 
         Raises:
             RecordingError: there is none, or it cannot be read.

@@ -106,7 +106,7 @@ class NuplanRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive; its id is the database's name, vehicle and city are from the table ``log``."""
+        """The drive; its id is the database's name; vehicle and city come from the table ``log``."""
         with open_database(self.path) as database:
             rows = database.rows("log", ("vehicle_name", "location", "map_version"))
         if len(rows) != 1:

@@ -191,7 +191,7 @@ class NuscenesRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive; its id is the scene's name, light and weather are from the words of its description."""
+        """The drive; its id is the scene's name; light and weather come from the words of its description."""
         description = self.scene.get("description")
         light, weather = parse_description(description if isinstance(description, str) else "")
         place = self._location.partition("-")[0]
@@ -269,7 +269,7 @@ class NuscenesRecording:
         }
 
     def track(self) -> Track:
-        """Return the ego poses of all sensors' rows, cameras, lidar and radars."""
+        """Return the ego poses at the rows of all sensors: cameras, lidar and radars."""
         poses = self.tables.poses
         rows = np.unique(self._data.pose)
         rows = rows[np.argsort(poses.timestamp_us[rows], kind="stable")]

@@ -120,7 +120,7 @@ class Tables:
     def follow(
         self, table: str, record: Mapping[str, Any], key: str, target: Mapping[str, Mapping[str, Any]], of: str
     ) -> Mapping[str, Any]:
-        """Return the object that a token of another object names.
+        """Return the object to which a token of another object refers.
 
         Raises:
             RecordingError: there is no such object.

@@ -43,7 +43,7 @@ def is_no_rigid_motion(matrix: Float64, tolerance: float = 1e-3) -> Bool:
 
 
 def to_poses(matrix: Float64) -> Poses:
-    """Return the poses of (N, 4, 4) or (N, 3, 4) rigid matrices, such as float32 has rounded."""
+    """Convert rigid matrices (N, 4, 4) or (N, 3, 4), possibly rounded to float32, to poses."""
     return Poses(quaternion_from_matrix(matrix[:, :3, :3]), matrix[:, :3, 3])
 
 
@@ -62,7 +62,7 @@ def mark_matrices(matrix: Float64, tolerance: float = 1e-3) -> tuple[Poses, Bool
 
 
 def mark_rotations(quaternion: Float64, *, file: Path, place: Callable[[int], str]) -> tuple[RowFaults, Float64]:
-    """Mark the rows of a track whose quaternion is no rotation.
+    """Mark the rows of a track whose quaternion is not a rotation.
 
     Args:
         quaternion: (N, 4) scalar first, as read.
@@ -141,7 +141,7 @@ def select_poses(stamps: Int64, good: Bool, file: Path) -> tuple[Int64, Int64]:
 
 
 def poses_at(stamps: Int64, times: Int64, poses: Poses) -> Poses:
-    """Interpolate a trajectory; a stamp before the first or after the last pose has that pose.
+    """Interpolate a trajectory; before the first and after the last pose, that pose holds.
 
     Args:
         stamps: (K,) stamps that are asked for.

@@ -44,7 +44,7 @@ class FileFixes:
 
 @dataclass(frozen=True, eq=False)
 class TrackRecording:
-    """A drive with fixes and no cameras; the direction of travel gives its orientation."""
+    """A drive with fixes and no cameras, with its orientation from the direction of travel."""
 
     path: Path
     time_base: str
@@ -53,7 +53,7 @@ class TrackRecording:
 
     @property
     def info(self) -> DriveInfo:
-        """The drive; its ids are from the options or the name of the file."""
+        """The drive; its ids come from the options or the file's name."""
         return DriveInfo(
             drive_id=to_identifier(self.options.get("drive_id", self.path.resolve().stem)),
             vehicle_id=to_identifier(self.options.get("vehicle_id", "unknown")),

@@ -24,7 +24,7 @@ class VideoGpsReader:
     expects = "a video *.mp4 or *.mov with a track of fixes of GoPro (GPMF) or Google (CAMM)"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether a file is such a video, by its suffix and its index."""
+        """Return whether a file is a video with fixes, judged by its suffix and its index."""
         return path.is_file() and path.suffix.lower() in _SUFFIXES and find_metadata_format(path, _FORMATS) is not None
 
     def open(self, path: Path, options: Mapping[str, str]) -> TrackRecording:

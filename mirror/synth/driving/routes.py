@@ -89,7 +89,7 @@ class Streets:
         return sorted(paths, key=lambda path: (float(_cross_lines(path.chord, path.line[0])), path.lane_ids))
 
     def across(self) -> list[Path]:
-        """Return straight paths that cross the main street, those with the longest part in the ROI first."""
+        """Return straight paths that cross the main street, longest part in the ROI first."""
         chord = self.along[0].chord
         paths = [
             path

@@ -74,7 +74,7 @@ def make_walkers(
 def place_standing_people(
     site: TrafficSite, bustle: TrafficDensity, rng: np.random.Generator
 ) -> Iterator[tuple[Body, StaticMotion]]:
-    """Place the people who stand in groups near walls, and those who wait for buses.
+    """Place people who stand in groups near walls, and people who wait for buses.
 
     Args:
         site: the scene.

@@ -79,7 +79,7 @@ class SynthDrive:
 
     @property
     def rig_id(self) -> str:
-        """Id of the rig. Each vehicle has its own, because mountings and ego masks differ between vehicles."""
+        """Id of the rig; each vehicle has its own rig, as mountings and ego masks differ between vehicles."""
         return f"{self.vehicle.kind.name}-{self.vehicle.vehicle_id.rpartition('-')[2]}"
 
     @property

@@ -21,7 +21,7 @@ _TYPES: Final = tuple(VEHICLE_TYPES)
 def make_drives(
     preset: str, seed: int, scenes: int | None = None, traversals: int | None = None
 ) -> tuple[Preset, list[SynthDrive]]:
-    """Make all drives of a preset. A drive is simulated when its motion is first used.
+    """Make all drives of a preset; a drive is simulated when its motion is first used.
 
     Args:
         preset: one of `mirror.synth.fleet.PRESETS`.

@@ -189,7 +189,7 @@ types, images on demand."""
 
 
 def resolve_preset(preset: str, scenes: int | None = None, traversals: int | None = None) -> tuple[Preset, int, int]:
-    """Return a preset and the numbers of scenes and traversals, with defaults filled in.
+    """Return a preset and the numbers of scenes and traversals, with defaults applied.
 
     Args:
         preset: one of `PRESETS`.

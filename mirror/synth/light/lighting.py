@@ -104,14 +104,14 @@ class Lighting:
     clouds: Float32
 
     def at(self, time_s: float) -> Records:
-        """Return the record of the light ``time_s`` seconds after the start, when the wind has moved the clouds."""
+        """Return the light ``time_s`` seconds after the start, with clouds moved by the wind."""
         record = self.record.copy()
         record["cloud_shift"] += time_s * record["cloud_wind"]
         return record
 
 
 def compute_lighting(condition: Condition, longitude_deg: float, latitude_deg: float) -> Lighting:
-    """Compute the lighting of a condition at a place; the sun keeps its position at the start."""
+    """Compute the lighting of a condition at a place, with the sun fixed at its position at the start."""
     effects, weather = condition.effects, condition.weather
     record = np.zeros(1, LIGHTING)[0]
     sun = sun_direction(condition.start_ns, longitude_deg, latitude_deg)

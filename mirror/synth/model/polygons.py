@@ -109,7 +109,7 @@ def polygons(
     seeds: npt.ArrayLike = 0,
     two_sided: bool = False,
 ) -> Model:
-    """Build many planar convex polygons with the same number of corners at once: leaves, pieces of ground.
+    """Build many planar convex polygons with equally many corners at once, such as leaves and pieces of ground.
 
     Args:
         corners: (F, N, 3) metres, each counter-clockwise seen from outside.

@@ -141,7 +141,7 @@ def extrusion(
     flank: Material | None = None,
     seed: int = 0,
 ) -> Model:
-    """Extrude a convex side view sideways: bodies of vehicles.
+    """Extrude a convex side view sideways, such as the body of a vehicle.
 
     Args:
         profile: (N, 2) x and z: up the back, forward along the top, down the front.

@@ -23,7 +23,7 @@ _INSTANTS_HELD: Final = 2
 
 
 class SynthFileSystem(AbstractFileSystem):
-    """A read-only file system. The size and the last bytes of an image are known without rendering."""
+    """A read-only file system, which knows the size and last bytes of an image without rendering it."""
 
     protocol = SCHEME
     root_marker = ""

@@ -88,7 +88,7 @@ def image_surface(
     v2: float,
     setting: Records,
 ) -> Appearance:
-    """Evaluate a face that is filled by an image of the catalogue."""
+    """Evaluate a face that an image of the catalogue fills."""
     wide, high = 0.5 / face.half_0, 0.5 / face.half_1
     r, g, b = image_at(
         images, image_index, face.image, 0.5 + u * wide, 0.5 + v * high, u1 * wide, v1 * high, u2 * wide, v2 * high

@@ -210,7 +210,7 @@ def build_tile_lists(
     y: float,
     z: float,
 ) -> tuple[Int64, Int32]:
-    """List the surfaces that each of the finest tiles may show, nearest first.
+    """List the surfaces, nearest first, that each of the smallest tiles may show.
 
     The rays of a tile lie in a cone, and the tests of the cone against a surface's sphere and edges are conservative:
     no visible surface is left out, for any lens. Surfaces behind a face that covers a whole tile are left out.

@@ -20,7 +20,7 @@ _SENT_BACK: Final = 5.0
 
 @inner_per_pixel()
 def read_map(value: Float32, column: float, row: float) -> float:
-    """Return the bilinear interpolation of a map; 0 outside."""
+    """Interpolate a map bilinearly; 0 outside the map."""
     i, j = math.floor(row), math.floor(column)
     if not (0 <= j < value.shape[1] - 1 and 0 <= i < value.shape[0] - 1):
         return 0.0

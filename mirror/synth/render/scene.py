@@ -50,7 +50,7 @@ _BEAM_M: Final = 26.0
 
 
 class Place(Protocol):
-    """The part of a world that a scene uses: everything static."""
+    """The static part of a world, which a scene uses."""
 
     @property
     def roi(self) -> Roi:

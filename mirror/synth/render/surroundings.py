@@ -30,7 +30,7 @@ direction of the recording vehicle's headlights."""
 
 
 class Surroundings(NamedTuple):
-    """Everything that determines an image apart from the camera.
+    """Everything besides the camera that determines an image.
 
     Attributes:
         faces: (F,) FACE, flat.

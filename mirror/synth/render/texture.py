@@ -24,7 +24,7 @@ def hash_unit(i: int, j: int, seed: int) -> float:
 
 @inner_per_pixel()
 def noise(x: float, y: float, seed: int) -> float:
-    """Smooth noise in [-1, 1] with a grain size of 1; the period is 128."""
+    """Return smooth noise in [-1, 1] with a grain size of 1 and a period of 128."""
     i, j = math.floor(x), math.floor(y)
     u, v = x - i, y - j
     u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)

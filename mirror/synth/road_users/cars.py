@@ -19,7 +19,7 @@ _TAXI_PAINTS: Final = ((0.62, 0.56, 0.40), (0.55, 0.33, 0.015), (0.015, 0.015, 0
 
 
 def build_car(rng: np.random.Generator) -> Body:
-    """Build a car of any kind, with the shares of city traffic."""
+    """Build a car of a random kind, by the shares of city traffic."""
     kinds = list(_SHARES)
     shares = np.array([_SHARES[kind] for kind in kinds])
     return kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))](rng)

@@ -154,7 +154,7 @@ def _lane_end_m(limit: _Limit, track: LaneStrip, inwards: int) -> float:
 
 
 def pavement_begin_m(approach: Approach) -> float:
-    """Return how far from the crossing's centre an arm's pavements begin: at the middle of its zebra, if any."""
+    """Return the distance from the crossing's centre at which an arm's pavements begin: at the middle of any zebra."""
     return approach.begin_m + 0.5 if approach.zebra_m is None else 0.5 * sum(approach.zebra_m)
 
 

@@ -129,7 +129,7 @@ def _smoothstep(x: Float64) -> Float64:
 
 
 def find_level_stretches(street: CrossedStreet, crossings: Sequence[Crossing]) -> Float64:
-    """Return the stretches (K, 2) of a street's stations that lie inside crossings."""
+    """Return the stretches (K, 2) of a street's stations that lie inside crossings and are level."""
     stretches = []
     for crossing in crossings:
         mine = [

@@ -16,7 +16,7 @@ Colour = tuple[float, float, float]
 
 
 class Species(IntEnum):
-    """Plant species, stored in the high bits of a leaf's seed. Leaves with seeds below 2**24 stay green all year."""
+    """Plant species, stored in the high bits of a leaf's seed; leaves with seeds below 2**24 are evergreen."""
 
     EVERGREEN = 0
     LIME = 1

@@ -19,7 +19,7 @@ NOTHING: Final = -1
 
 
 def cast_rays(model: Model, origin: Float64, directions: Float64) -> tuple[Float64, Int64]:
-    """Find the first surface on each ray. Faces are visible from outside; two-sided faces from both sides.
+    """Find the first surface on each ray; faces are visible from outside, two-sided faces from both sides.
 
     Args:
         model: model in any frame.

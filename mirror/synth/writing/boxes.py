@@ -27,7 +27,7 @@ _APART_NS: Final = 500_000_000
 
 
 def world_SE3_boxes(road_users: Sequence[RoadUser], placements: Sequence[Placement]) -> Poses:  # noqa: N802
-    """Return the poses (N,) of the road users' boxes: the origin is the middle of the box, the axes are the body's."""
+    """Return the poses (N,) of the road users' boxes: origin in the middle of the box, axes of the body."""
     rows = [
         (placement.x_m, placement.y_m, placement.z_m, placement.yaw_rad, placement.pitch_rad, placement.roll_rad)
         for placement in placements
@@ -96,7 +96,7 @@ def _in_view(drive: SynthDrive, ego_SE3_box: Poses, size_m: tuple[float, float, 
 
 
 def least_px(drive: SynthDrive) -> float:
-    """Return the least number of pixels with which an image shows a road user that has a box."""
+    """Return the least number of pixels of a road user in an image for the road user to have a box."""
     camera = next(iter(drive.vehicle.cameras.values()))
     return max(4.0, LEAST_SHARE * camera.width_px * camera.height_px)
 

@@ -62,7 +62,7 @@ class Journal:
 
     @property
     def is_new(self) -> bool:
-        """Return whether no recording was begun: the folder holds the journal alone."""
+        """Return whether the folder holds the journal alone, as no recording was begun."""
         return not self._document.drives and not any(path.name != SYNTH for path in self._out.iterdir())
 
     def find_complete(self, drive_id: str) -> Counts | None:

@@ -42,7 +42,7 @@ class ImageSchedule:
 
 
 def schedule_images(drive: SynthDrive, errors: Errors) -> ImageSchedule:
-    """Schedule the images of a drive; all lie between the first and the last pose."""
+    """Schedule the images of a drive, all between the first and the last pose."""
     kind, cameras = drive.vehicle.kind, tuple(drive.vehicle.cameras)
     time_s = np.arange(_SETTLED_S, drive.truth.duration_s - _SETTLED_S, 1.0 / drive.preset.image_hz)
     instants = drive.condition.start_ns + np.round(time_s * 1e6).astype(np.int64) * 1000

@@ -48,7 +48,7 @@ class RecordedSeed(NamedTuple):
 
 
 def write_secret(out: Path, seed: int) -> None:
-    """Write a secret seed beside recordings. The file is readable for its owner alone from the first byte on.
+    """Write a secret seed beside recordings, readable for its owner alone from the first byte on.
 
     Raises:
         DatasetError: the folder is not writable; a previous file is unchanged.

@@ -66,7 +66,7 @@ def pace_at(ways: Ways, way: int, along: float) -> float:
 
 @inner_njit
 def free_acceleration(u: int, ways: Ways, road_users: Users, s: float, v: float) -> float:
-    """Return the acceleration on a free road towards the desired speed.
+    """Return the acceleration towards the desired speed on a free road.
 
     The desired speed is lower before bends and varies a little.
     """
@@ -100,7 +100,7 @@ def stopping_acceleration(u: int, road_users: Users, v: float, gap: float) -> fl
 
 @inner_njit
 def advance_along(s: float, v: float, a: float, wish: float, tick_s: float) -> tuple[float, float, float]:
-    """Return the length, speed and acceleration after a tick.
+    """Return the length, speed and acceleration after one tick of the simulation.
 
     The acceleration changes gradually, the speed is never negative.
     """

@@ -26,7 +26,7 @@ _STRAIGHTER_RAD: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Zone:
-    """A conflict zone: the stretches of two ways, p and q, on which their users are too close.
+    """A conflict zone: the stretches of two ways, p and q, on which their users come too close to each other.
 
     Attributes:
         begin_m: (2,) length along p and along q at which the zone begins.

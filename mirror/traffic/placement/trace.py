@@ -25,7 +25,7 @@ _PULLS: Final = 10
 
 @dataclass(frozen=True)
 class Chassis:
-    """The dimensions that decide how a vehicle follows a line with its front axle while the rear axle trails.
+    """The dimensions with which a vehicle's front axle follows a line while the rear axle trails.
 
     Attributes:
         length_m: length of the body.
@@ -43,7 +43,7 @@ class Chassis:
 
     @classmethod
     def of_box(cls, length_m: float, width_m: float) -> Chassis:
-        """Return the chassis of a body that is given by its box, with the origin in its middle."""
+        """Return the chassis of a body given by its box, with the origin in the box's middle."""
         wheelbase, overhang = 0.6 * length_m, 0.2 * length_m
         return cls(length_m, width_m, wheelbase, overhang, 0.5 * length_m - overhang)
 

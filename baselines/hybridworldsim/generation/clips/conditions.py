@@ -63,7 +63,7 @@ def frame_conditions(
 
 
 def stack_conditions(windows: Sequence[Conditions]) -> Conditions:
-    """Stack conditions of single sequences to a batch; all must have the same tensors.
+    """Stack the conditions of single sequences to a batch; all sequences must have the same tensors.
 
     Raises:
         UsageError: captions have different numbers of tokens.

@@ -35,7 +35,7 @@ class MapLine:
 
 
 def move_lines(lines: Sequence[MapLine], dst_SE3_src: Float64) -> tuple[MapLine, ...]:
-    """Return the lines in another frame, by its pose (4, 4)."""
+    """Return the lines in another frame, given the frame's pose (4, 4)."""
     turn, shift = dst_SE3_src[:3, :3], dst_SE3_src[:3, 3]
     return tuple(replace(line, points_m=line.points_m @ turn.T + shift) for line in lines)
 

@@ -50,7 +50,7 @@ class BoxStyle:
 
     @property
     def channels(self) -> int:
-        """Channels of the images of boxes; a map has `MAP_CHANNELS` more."""
+        """Number of channels of the images of boxes; a layout with a map has `MAP_CHANNELS` more."""
         return 4 if self.depth else 3
 
 

@@ -41,7 +41,7 @@ class AdapterConfig:
 
 @dataclass(frozen=True)
 class TransformerConfig:
-    """The configuration of a transformer. The defaults are those of OpenDWM's CTSD on Stable Diffusion 3.5 medium.
+    """The configuration of a transformer, by default as OpenDWM's CTSD on Stable Diffusion 3.5 medium.
 
     Attributes:
         latent_channels: channels of the latents that the network denoises.

@@ -71,7 +71,7 @@ class HiddenShares:
         self._looks: KeptItems[tuple[int, int], list[_Look]] = KeptItems(_KEPT_BYTES)
 
     def of_view(self, view: RenderView, size_px: tuple[int, int]) -> UInt8:
-        """Return the share (H, W) of each pixel of a view, in 255ths; 0 where no training image looks at the place.
+        """Return the hidden share (H, W) at each pixel of a view, in 255ths; 0 where no training image sees the place.
 
         Args:
             view: the view, with a lens of any raster.

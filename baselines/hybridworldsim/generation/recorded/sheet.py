@@ -24,7 +24,7 @@ _EXCLUDED: Final = np.array((40, 40, 150))
 
 
 def write_sheet(folder: Path, clip_ids: Sequence[str]) -> Path:
-    """Write the sheet of a folder of clips; returns its file.
+    """Write the overview sheet of a folder of clips; returns the sheet's file.
 
     Three rows for each of six clips, evenly chosen: the images of all views at the middle frame; their backgrounds;
     and twice the absolute difference, where road users are red and excluded pixels blue.

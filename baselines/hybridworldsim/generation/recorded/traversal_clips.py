@@ -39,7 +39,7 @@ _LOOKED_AT = 5
 
 @dataclass(frozen=True)
 class ClipSettings:
-    """The settings of clips that a traversal's clips depend on.
+    """The settings that determine the clips of a traversal.
 
     Attributes:
         cameras: names.

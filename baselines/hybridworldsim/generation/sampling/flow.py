@@ -38,12 +38,12 @@ def add_noise(clean: Tensor, noise: Tensor, level: Tensor) -> Tensor:
 
 
 def to_clean(noisy: Tensor, velocity: Tensor, level: Tensor) -> Tensor:
-    """Return the clean latents that a velocity implies; arguments as in `add_noise`."""
+    """Return the clean latents that a velocity implies; see `add_noise` for the arguments."""
     return noisy - level[..., None, None, None] * velocity
 
 
 def to_noise(noisy: Tensor, velocity: Tensor, level: Tensor) -> Tensor:
-    """Return the noise that a velocity implies; arguments as in `add_noise`."""
+    """Return the noise that a velocity implies; see `add_noise` for the arguments."""
     return noisy + (1.0 - level[..., None, None, None]) * velocity
 
 

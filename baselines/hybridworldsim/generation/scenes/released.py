@@ -79,7 +79,7 @@ def released_model(name: str) -> ReleasedModel:
 def open_released(
     model: ReleasedModel, checkpoint: Path, vae: Path, size_px: tuple[int, int], device: str = "cpu"
 ) -> SceneGenerator:
-    """Load a released model; unfitting settings are refused before the network's weights are read.
+    """Load a released model; unsuitable settings are refused before the network's weights are read.
 
     Args:
         model: which one.

@@ -45,7 +45,7 @@ class SceneRig:
 
     @cached_property
     def rasters(self) -> tuple[ImageRaster, ...]:
-        """The rasters that map recorded images to the generator's, by camera."""
+        """The rasters that map recorded images to the generator's size, by camera."""
         height, width = self.size_px
         full = [full_camera(lens, self.pixels) for lens in self.lenses]
         return tuple(ImageRaster(lens, one, one.resized(width, height)) for lens, one in zip(self.lenses, full))

@@ -203,7 +203,7 @@ def boxes_of(
 
 
 def scale_background(image: UInt8, shape: tuple[int, int], size_px: tuple[int, int]) -> UInt8:
-    """Scale a background of the shape of its view (height, width) to the size of the generator's images.
+    """Scale a background from the size of its view to the size of the generator's images.
 
     Raises:
         DatasetError: it has another shape.

@@ -16,7 +16,7 @@ from mirror.schema.road_map import encode_road_map
 
 @dataclass(frozen=True, eq=False)
 class SceneMap:
-    """The lines of a scene's map that a generator is shown.
+    """The lines of a scene's map that the generator takes as input.
 
     Attributes:
         lines: lines in the scene's frame; None: no map is known, or the generator takes none.

@@ -277,7 +277,7 @@ def without_background(settings: GeneratorSettings) -> GeneratorSettings:
 
 
 def with_map(settings: GeneratorSettings) -> GeneratorSettings:
-    """Return settings for a network that is also shown the lines of a map.
+    """Return settings for a network that also takes the lines of a map.
 
     Raises:
         UsageError: the network takes no layout.

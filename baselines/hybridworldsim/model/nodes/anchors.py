@@ -124,7 +124,7 @@ class Anchors(nn.Module):
         )
 
     def read(self, rows: AnchorRows, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the outputs of the networks for anchors: (M, k * 8) and (M, k * 3); see `anchors_to_gaussians`."""
+        """Return the networks' outputs for anchors, (M, k * 8) and (M, k * 3); see `anchors_to_gaussians`."""
         networks = (self.geometry, content), (self.colour, latent)
         geometry, colours = run_networks(rows.codes, rows.means, viewpoint.centre, self.radius_m, *networks)
         return geometry, colours

@@ -62,7 +62,7 @@ def anchors_to_gaussians(
 
 
 def rows_of_slots(slots: Tensor, ids: Tensor, k: int) -> Tensor:
-    """Return the rows (G,) of slots (G,) among all Gaussians of a node.
+    """Return the rows (G,), among all Gaussians of a node, of slots (G,).
 
     The slots are those of the anchors ``ids`` (M,).
     """

@@ -36,7 +36,7 @@ def anchors_to_gaussians(
 
 
 def rows_of_slots(slots: Tensor, ids: Tensor, k: int) -> Tensor:
-    """Return the rows (G,) of slots (G,) of anchors ``ids`` (M,) among all Gaussians of a node."""
+    """Return the rows (G,), among all Gaussians of a node, of slots (G,) of anchors ``ids`` (M,)."""
     return ids[slots // k] * k + slots % k
 
 
@@ -56,7 +56,7 @@ def network_inputs(codes: Tensor, means: Tensor, eye: Tensor, radius_m: float | 
 
 
 def visible_mask(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
-    """Return which points' spheres may meet the view frustum; see `hybridworldsim.model.visible.select_visible`.
+    """Mark the points whose spheres may meet the view frustum; see `hybridworldsim.model.visible.select_visible`.
 
     Args:
         viewpoint: the camera.

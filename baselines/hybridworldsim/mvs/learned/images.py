@@ -41,7 +41,7 @@ class SourceImage:
     hidden: Mapping[int, Tensor]
 
     def with_features(self, stride: int, feature: Tensor) -> SourceFeatures:
-        """Combine features (C, h / stride, w / stride) with the motion and the hidden pixels at their stride."""
+        """Combine features (C, h / stride, w / stride) with their motion and their mask of hidden pixels."""
         return SourceFeatures(feature, self.motions[stride], self.hidden.get(stride))
 
 

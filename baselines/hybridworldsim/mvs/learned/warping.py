@@ -23,7 +23,7 @@ _MIN_DEPTH_RATIO = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SampleMotion:
-    """``source = rotation @ (u, v, 1) depth + translation``, in homogeneous samples of the source.
+    """A motion of samples: ``source = rotation @ (u, v, 1) depth + translation``, in homogeneous coordinates.
 
     Attributes:
         rotation: (3, 3) ``K_source R K_reference^-1``.

@@ -40,5 +40,5 @@ def upsample_depth(depth_m: Tensor, stride: int) -> Tensor:
 
 
 def repeat_samples(values: Tensor, stride: int) -> Tensor:
-    """Repeat values (H, W) to (stride H, stride W): each pixel takes the nearest sample to the left and above."""
+    """Repeat values (H, W) to (stride H, stride W): each pixel takes the value of its block."""
     return functional.interpolate(values[None, None], scale_factor=float(stride), mode="nearest")[0, 0]

@@ -40,7 +40,7 @@ def compute_cost_volume(
     best: int,
     deviation: float,
 ) -> UInt8:
-    """Compute how much the window around each pixel differs from the sources, for each depth.
+    """Compute, for each depth, how much the window around each pixel differs from the sources.
 
     Args:
         reference: (H, W) grey; NaN where it does not count.

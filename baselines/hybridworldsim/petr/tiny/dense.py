@@ -96,7 +96,7 @@ def ray_angles(direction: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def ray_pitch(directions: Tensor) -> Tensor:
-    """Return the mean angle (N, H, W) between a ray and its horizontal neighbours, of rays (N, H, W, 3)."""
+    """Return the mean angle (N, H, W) between each ray (N, H, W, 3) and its horizontal neighbours."""
     step = (directions[:, :, 1:] - directions[:, :, :-1]).norm(dim=-1).clamp(1e-3, 1.0)
     padded = torch.cat((step[:, :, :1], step, step[:, :, -1:]), 2)
     return 0.5 * (padded[:, :, 1:] + padded[:, :, :-1])

@@ -101,7 +101,7 @@ def search_attack(
     ego_line: Callable[[Float64], Float64],
     is_drivable: Callable[[Float64], bool] = lambda points: True,
 ) -> AttackManoeuvre:
-    """Search the manoeuvre with the least time to collision.
+    """Search for the manoeuvre with the least time to collision.
 
     Up to half of the evaluations, at most 20, explore at random; the others refine the best manoeuvre with shrinking
     steps.

@@ -33,7 +33,7 @@ def draw_body(category: str, agent_id: str, seed: int) -> Body:
 
 @lru_cache(maxsize=512)
 def body_of_size(category: str, size_m: tuple[float, float, float]) -> Body:
-    """Return the body of a category whose size is nearest, among a few of the population."""
+    """Return the body of a category whose size is nearest to a given one, among a few of the population."""
     kind = body_kind(category)
     bodies = [get_body(kind, number) for number in range(min(_CANDIDATES, POPULATION[kind]))]
     return min(bodies, key=lambda body: float(np.abs(np.array(body.size_m) - size_m).sum()))

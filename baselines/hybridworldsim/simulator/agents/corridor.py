@@ -80,7 +80,7 @@ def gap_on_way(
     sight_m: float,
     box: Float64,
 ) -> tuple[float, float]:
-    """Return the gap of a user of a way to a box ahead, and the box's speed along the way.
+    """Return the gap from a user of a way to a box ahead, and the box's speed along the way.
 
     The result is (inf, 0) if the box is not in the corridor.
 

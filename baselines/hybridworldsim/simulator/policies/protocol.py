@@ -51,7 +51,7 @@ class ObservationSpec:
 
 @dataclass(frozen=True, eq=False)
 class PrivilegedState:
-    """The exact state of the world, for policies that are references.
+    """The exact state of the world, which only reference policies get.
 
     Attributes:
         time_s: time since the start.
@@ -128,7 +128,7 @@ class PlannedTrajectory:
 
 @dataclass(frozen=True)
 class NoPlanYet:
-    """The policy has not seen enough yet: the ego follows the recording, or its route at its present speed."""
+    """The policy needs more observations; until then the ego follows the recording, or its route at constant speed."""
 
 
 Action: TypeAlias = Controls | PlannedTrajectory | NoPlanYet | None

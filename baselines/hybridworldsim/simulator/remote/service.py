@@ -81,7 +81,7 @@ class SensorService:
         self._formats: dict[int, Format] = {formats["PNG"]: "png", formats["JPEG"]: "jpeg"}
 
     def calls(self) -> dict[str, tuple[str, Callable[[Any], Any]]]:
-        """Return the answered calls: by name, the message of the request and the method."""
+        """Return the methods that answer calls, and the messages of their requests, by name."""
         return {
             "get_version": ("Empty", lambda _: self._messages.version()),
             "get_available_scenes": ("Empty", self.list_scenes),

@@ -82,7 +82,7 @@ class ExactRenderer(Renderer):
 
 
 def condition_of(street: Street, scenario: Scenario) -> Condition:
-    """Return the light and weather of a scenario in a synthetic street, on the day of its drive."""
+    """Return the light and weather of a scenario for a synthetic street, on the day of the street's drive."""
     drive = street.drive
     if drive is None:
         raise UsageError("the street is not synthetic")

@@ -119,7 +119,7 @@ def rig_cameras(
 
 @lru_cache(maxsize=64)
 def lens_of(camera: Camera) -> Lens:
-    """Return the rays of a camera; those of the last cameras are kept."""
+    """Return the rays of a camera; the rays of recently used cameras are cached."""
     from mirror.synth import make_lens
 
     return make_lens(camera)

@@ -107,7 +107,7 @@ class Seconds:
         self._parts = dict.fromkeys(("street", "agents", "composition"), 0.0)
 
     def add(self, part: str, begin_s: float) -> float:
-        """Add the time since a reading of `time.thread_time` to a part, and return the present reading."""
+        """Add the thread time since an earlier reading to a part of rendering, and return the present reading."""
         now = time.thread_time()
         with self._lock:
             self._parts[part] += now - begin_s
@@ -231,7 +231,7 @@ class ReconstructedRenderer(Renderer):
 
 
 def choose_appearance(model: OpenModel, street: Street, scenario: Scenario) -> str:
-    """Return the trained traversal whose light and weather a rollout has: those of the scenario as far as possible."""
+    """Return the trained traversal whose light and weather match the scenario's best."""
 
     def mismatch(name: str) -> tuple[bool, bool, str]:
         recording = street.recordings.get(name)

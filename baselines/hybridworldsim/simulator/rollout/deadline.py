@@ -13,7 +13,7 @@ from mirror.plugins import error_in_plugin
 
 
 class PolicyError(MirrorError):
-    """The policy failed, answered something that is no action, or was too slow."""
+    """The policy failed, returned no valid action, or was too slow."""
 
 
 class PolicyRunner:

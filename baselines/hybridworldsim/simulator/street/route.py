@@ -130,7 +130,7 @@ def pose_on(way: Way, along_m: float) -> tuple[float, float, float]:
 
 
 def poses_on(way: Way, along_m: Float64) -> tuple[Float64, Float64, Float64]:
-    """Return x, y and heading of a way at lengths, each of the shape of the lengths."""
+    """Return x, y and heading of a way at lengths, in arrays of the lengths' shape."""
     place = STEP_M * np.arange(len(way.points))
     x, y, heading = (np.interp(along_m, place, values) for values in (*way.points.T, way.heading_rad))
     return x, y, heading

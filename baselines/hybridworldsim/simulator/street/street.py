@@ -107,6 +107,6 @@ class Street:
         return np.hypot(*(points_m - np.array(self.middle_m)).T) <= self.radius_m
 
     def is_driven(self, points_m: Float64) -> Bool:
-        """Mark the points (N, 2) that lie in the part that can be rendered, and beside a recorded line."""
+        """Mark the points (N, 2) in the part of the street that can be rendered, and beside a recorded line."""
         lines = shapely.MultiLineString([one.poses[:, :2] for one in self.recordings.values() if len(one.poses) > 1])
         return self.is_inside(points_m) & (shapely.distance(lines, shapely.points(points_m)) <= _BESIDE_M)

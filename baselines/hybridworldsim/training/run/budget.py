@@ -13,7 +13,7 @@ from mirror.errors import UsageError
 
 @dataclass(frozen=True)
 class Budget:
-    """A number of steps or processor time; schedules run from progress 0 to 1 under either.
+    """A number of steps or a processor time; under either, schedules run from progress 0 to 1.
 
     Attributes:
         steps: number of steps. Results repeat exactly with the same number of threads.

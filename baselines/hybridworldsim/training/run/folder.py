@@ -55,7 +55,7 @@ class RunFolder(Generic[OutcomeT]):
         return list(self._rows)
 
     def begin(self, run: Document) -> OutcomeT | None:
-        """Write the run's document; if an earlier run has learned something, require its document to be equal instead.
+        """Write the run's document, or require that it equals the document of an earlier run that learned something.
 
         Args:
             run: everything that determines the result of the run, with a field `threads`.

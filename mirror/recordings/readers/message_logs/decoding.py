@@ -53,7 +53,7 @@ class CameraMessage:
 
     @property
     def is_calibrated(self) -> bool:
-        """False: the message states that the camera is not calibrated, by a K whose first number is 0 (CameraInfo)."""
+        """False if the message states, by a K that begins with 0, that the camera is not calibrated (CameraInfo)."""
         return bool(self.K[0, 0] != 0.0)
 
 
@@ -119,7 +119,7 @@ RAW_IMAGES: Final = ("sensor_msgs/Image", "foxglove.RawImage", "foxglove_msgs/Ra
 
 
 def kind_of(topic: Topic) -> Kind | None:
-    """Return ``image``, ``video``, ``camera``, ``fix``, ``pose``, ``orientation`` or ``transforms``.
+    """Return the kind of a message type, such as ``image``, ``video``, ``camera``, ``fix`` or ``pose``.
 
     None: another type.
     """

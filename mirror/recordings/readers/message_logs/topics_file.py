@@ -78,7 +78,7 @@ class CameraTopics(Document):
 
 
 class TopicsFile(Document):
-    """The topics file of a log: which topics are cameras and poses.
+    """The topics file of a log, which says which topics hold images and poses.
 
     Attributes:
         drive_id: None: from the name of the log.
@@ -139,7 +139,7 @@ def read_topics_file(file: Path) -> TopicsFile:
 
 
 def require_topics(document: TopicsFile, topics: Mapping[str, Topic], file: Path) -> None:
-    """Refuse a topics file that names topics which the log lacks, or which are of another kind.
+    """Refuse a topics file with topics that the log lacks or that are of another kind.
 
     Raises:
         RecordingError: all such keys and topics are named.

@@ -69,7 +69,7 @@ class Transforms:
         return pose
 
     def motion(self, fixed: str, ego: str) -> tuple[Int64, Poses]:
-        """Return the poses ``fixed_SE3_ego`` at the stamps of the most frequent transform between the two frames.
+        """Return poses ``fixed_SE3_ego`` at the stamps of the most frequent transform on the chain between both frames.
 
         Returns:
             (N,) stamps in ascending order, repeated ones included, and N poses. Stamps outside the range of another

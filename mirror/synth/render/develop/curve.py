@@ -19,7 +19,7 @@ _SHOULDER: Final = 0.62
 
 
 def film(exposed: Float64) -> Float64:
-    """Map exposed light to levels in [0, 1). A white surface in a correctly exposed image has light 1.
+    """Map exposed light to levels in [0, 1), where white in a correctly exposed image has light 1.
 
     The curve is the sRGB encoding with darker shadows, and with a shoulder that compresses highlights.
 
@@ -38,7 +38,7 @@ def film(exposed: Float64) -> Float64:
 
 @cache
 def film_table() -> UInt8:
-    """Return 8-bit levels (STEPS,) at evenly spaced square roots of light, from 0 to that of BRIGHTEST; read-only.
+    """Return read-only 8-bit levels (STEPS,) at evenly spaced square roots of light, from 0 to BRIGHTEST's.
 
     Between two steps the level changes by less than 0.03, so the nearest step is accurate to half a level.
     """

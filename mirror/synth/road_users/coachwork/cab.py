@@ -19,7 +19,7 @@ _ALL: Final = (Side.FRONT, Side.BACK, Side.LEFT, Side.RIGHT, Side.TOP)
 
 
 class Cab(NamedTuple):
-    """Measures of a cab, in metres: x of its back and of its front, its height, and the radius of its wheels."""
+    """Measures of a cab, in metres: x of its back and front, its height, and the radius of its wheels."""
 
     back: float
     front: float

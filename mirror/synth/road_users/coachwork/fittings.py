@@ -44,7 +44,7 @@ _PAINTS: Final[tuple[tuple[float, tuple[float, float, float]], ...]] = (
 
 
 def draw_car_paint(rng: np.random.Generator) -> SheetFinish:
-    """Draw a car's paint with the shares of newly registered cars."""
+    """Draw a car's paint, by the shares of newly registered cars."""
     shares = np.array([share for share, _ in _PAINTS])
     colour = np.array(_PAINTS[int(rng.choice(len(_PAINTS), p=shares / shares.sum()))][1])
     return SheetFinish(tuple(np.clip(colour * rng.uniform(0.85, 1.15), 0.0, 0.68)), Material.PAINT)
@@ -171,7 +171,7 @@ def draw_plate_number(rng: np.random.Generator) -> int:
 def add_mirrors(
     sheets: Sheets, place: Sequence[float], finish: SheetFinish, size: Sequence[float] = (0.12, 0.20, 0.14)
 ) -> None:
-    """Add outside mirrors, with the centres of their housings at a position on the left and at its mirror image."""
+    """Add outside mirrors, with housings centred at a position on the left and at its mirror image on the right."""
     x, y, z = place
     for side in (y, -y):
         sheets.add(ellipsoid((x, side, z), size, finish.colour, finish.material, sheets.label, seed=sheets.seed))

@@ -98,7 +98,7 @@ class Shape:
 
     @cached_property
     def levels_m(self) -> tuple[float, float, float, float]:
-        """Heights between the bands of the flanks; at the second the body is widest and the ends reach farthest."""
+        """Heights between the bands of the flanks; at the second height the body is widest and longest."""
         return (
             self.clearance_m,
             self.wheel_m + 0.35 * self.arch_m,
@@ -108,7 +108,7 @@ class Shape:
 
     @cached_property
     def crown(self) -> list[Point]:
-        """The roof's points, and the points at which its line crosses the rail."""
+        """The points of the roof, and the points at which the roof's line crosses the rail."""
         points = [self.roof[0]]
         for (x, z), (other_x, other_z) in pairwise(self.roof):
             if (z - self.rail_m) * (other_z - self.rail_m) < 0.0:

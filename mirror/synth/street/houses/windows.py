@@ -155,6 +155,6 @@ def pattern_table() -> Records:
 
 
 def window_grid(windows: Windows, width_m: float, height_m: float) -> tuple[int, int]:
-    """Return the numbers of columns and storeys of windows on a face; the renderer computes the same numbers."""
+    """Return the numbers of columns and storeys of windows on a face, as the renderer computes them."""
     pattern = PATTERNS[windows]
     return max(int(width_m / pattern.pitch_m + 0.5), 1), max(int(height_m / pattern.storey_m + 0.5), 1)

@@ -50,7 +50,7 @@ def _frequencies(size: int, stretch: float) -> Float32:
 
 
 def wrap_patch(x: float, y: float, reach: float, size: int) -> Iterator[tuple[float, float]]:
-    """Return the positions at which a shape at (x, y) must be drawn to be periodic."""
+    """Return the positions at which a shape at (x, y) must be drawn so that the pattern is periodic."""
     shifts_x = (0.0, size) if x < reach else (0.0, -size) if x > size - reach else (0.0,)
     shifts_y = (0.0, size) if y < reach else (0.0, -size) if y > size - reach else (0.0,)
     for shift_x in shifts_x:
@@ -59,7 +59,7 @@ def wrap_patch(x: float, y: float, reach: float, size: int) -> Iterator[tuple[fl
 
 
 def scatter_centres(size: int, period_m: float) -> Float64:
-    """Return the positions of the texels' centres along a side, metres."""
+    """Return the positions of the texels' centres along a side, in metres."""
     places: Float64 = (np.arange(size, dtype=np.float64) + 0.5) * (period_m / size)
     return places
 

@@ -37,7 +37,7 @@ def combine(a: Any, first: Any, b: Any, second: Any) -> Any:
 
 @kernel(inline="always")
 def select_rows(ids: Any, start: Any, end: Any, rows: Any) -> None:
-    """Write the next eight indices in `ids`, then their Gaussians, to `rows`; spare lanes repeat the first."""
+    """Write to `rows` the next eight places in `ids`, then the indices there; spare lanes repeat the first."""
     for lane in range(8):
         rows[lane] = start + lane if start + lane < end else start
         rows[8 + lane] = ids[rows[lane]]

@@ -38,7 +38,7 @@ def jacobian(camera: Any, u: Any, v: Any, inverse_depth: Any) -> Any:
 
 @kernel(inline="always")
 def covariance(a: Any, b: Any) -> Any:
-    """Compute xx, xy, yy and the determinant of the 2D covariance with the root rows a and b."""
+    """Compute xx, xy, yy and the determinant of the 2D covariance from its root rows a and b."""
     m0 = a[1] * b[2] - a[2] * b[1]
     m1 = a[2] * b[0] - a[0] * b[2]
     m2 = a[0] * b[1] - a[1] * b[0]

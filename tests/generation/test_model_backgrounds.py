@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import mirror
+from hybridworldsim.generation.clips.folder import read_clip, read_list
+from hybridworldsim.generation.recorded.documents import HIDDEN
 from hybridworldsim.generation.scenes.plan import plan_scene
 from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.run import PIXELS
@@ -74,3 +76,50 @@ def rendered(street: Dataset, model: Path, traversal: str, appearance: str) -> U
     views = [view for one in plan.frames for view in rig.views(one.frame, one.world_SE3_ego, plan.light, plan.weather)]
     draw = open_model(model, AppearancePolicy(appearance, views, everywhere=True))
     return np.stack([cv2.resize(draw(view), SIZE[::-1], interpolation=cv2.INTER_AREA) for view in views[T:]])
+
+
+def test_clips_have_the_street_in_the_appearance_of_their_recording(
+    street: Dataset, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["generate", "clips", str(street.root), "--background", str(model), "--size", "24x16", "--frames", "3"]
+    words += [
+        "--cameras",
+        "front_wide",
+        "--min-share",
+        "0",
+        "--min-busy",
+        "0",
+        "--out",
+        str(tmp_path / "clips"),
+        "--json",
+    ]
+    # The masks of the points' depth are of the sky, if any: they say nothing of road users.
+    assert main(words) == ExitCode.COULD_NOT_RUN
+    assert "mirror annotate masks" in capsys.readouterr().out
+    assert main(["annotate", "masks", str(street.root), "--json"]) == ExitCode.DONE
+    capsys.readouterr()
+    assert main([*words, "--split", "nothing"]) == ExitCode.COULD_NOT_RUN
+    capsys.readouterr()
+    assert main(words) == ExitCode.DONE
+    statistics = json.loads(capsys.readouterr().out)
+    (held_out,) = street.where(split="novel", role="held_out").traversals()
+    clips = [read_clip(tmp_path / "clips", name) for name in read_list(tmp_path / "clips").training]
+    assert held_out not in {clip.drive_id for clip in clips}
+    redder = {}
+    for clip in clips:
+        frames = street.where(traversal=clip.drive_id).frames()
+        rig = rig_of(frames, ("front_wide",), SIZE, PIXELS)
+        first = next(frame for frame in frames if frame.frame_index == int(clip.clip_id.rpartition("-")[2]))
+        (view,) = rig.views(first, first.world_SE3_ego, "day", "clear")
+        image = first.images["front_wide"]
+        placed = view.model_copy(update={"world_SE3_camera": image.world_SE3_camera})
+        expected = open_model(model)(placed)
+        np.testing.assert_array_equal(
+            clip.background[0, 0], cv2.resize(expected, SIZE[::-1], interpolation=cv2.INTER_AREA)
+        )
+        redder[clip.drive_id] = float((clip.background[..., 0].astype(float) - clip.background[..., 1]).mean())
+        # No road user is seen here, so that nothing hides the street.
+        assert clip.hidden is not None and not clip.hidden.any()
+    red, green = (next(name for name in redder if drive in name) for drive in (".near.", ".far."))
+    assert redder[red] > 5.0 > 0.0 > redder[green]
+    assert set(statistics["counts"]["errors"]) == {name for _, name in HIDDEN}

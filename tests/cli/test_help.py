@@ -33,6 +33,7 @@ DATASET_FIRST = (
     "export nerfstudio",
     "export nuscenes",
     "export-ply",
+    "generate clips",
     "generate scene",
     "index",
     "plot",

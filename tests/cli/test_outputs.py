@@ -24,6 +24,7 @@ COMMANDS = (
     "evaluate D S",
     "export colmap D",
     "export-ply D M",
+    "generate clips D --background M",
     "generate distil G C --steps 1",
     "generate scene D G --background M",
     "generate train C --steps 1",
@@ -65,6 +66,7 @@ def test_an_output_below_a_file_is_refused_before_any_work(
     ("command", "extra"),
     [
         ("simulate synth:tiny --scenario cut-in --policy idm --out out", "simulator"),
+        ("generate clips dataset --background model --out out", "generation"),
         ("generate train clips --out out", "generation"),
         ("generate scene dataset generator --out out", "generation"),
     ],

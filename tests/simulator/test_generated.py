@@ -285,6 +285,9 @@ def test_the_verb_drives_at_the_rate_of_the_training_and_repeats(
     assert views["seeds"] == 2 * T and sum(views.values()) - views["without_network"] == 2 * 9
     assert rollouts[0].files["video.mp4"] == rollouts[1].files["video.mp4"]
     assert rollouts[0].views == rollouts[1].views
+    assert main([*words, *chosen, "--hz", "10", "--out", str(tmp_path / "fast")]) == ExitCode.DONE
+    assert "generated at 10 Hz, the generator was trained at 5 Hz" in capsys.readouterr().out
+    assert read_rollout(tmp_path / "fast").rate_hz == 10.0
     assert rollouts[0].hash != rollouts[0].model_copy(update={"views": None}).hash
 
 
@@ -296,6 +299,8 @@ def test_what_does_not_fit_is_refused_before_the_drive(model: Path, models: Path
         ([str(model), *method, "--renderer", "generated", *small], "needs a generator"),
         ([*method[2:], "--generator", str(models), *small], "needs a model"),
         ([str(model), *method, "--blend", "none", *small], "generated road users"),
+        ([str(model), *method, "--hz", "5", *small], "generated road users"),
+        ([str(model), *method, "--generator", str(models), "--hz", "0", *small], "0 Hz"),
         ([str(model), *method, "--generator", str(tmp_path), *small], "no such file"),
         ([str(model), *method, "--generator", str(models), "--width", "25", "--height", "16"], "25 x 16 px"),
         ([str(model), *method, "--generator", str(models), "--renderer", "reconstructed"], "has no generator"),

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 _EXAMPLES = (
     "mirror simulate demo/block/dataset --scenario hard-brake --policy idm --out rollout",
     "mirror simulate demo/block/dataset demo/block/model --scenario cut-in --policy idm --out rollout",
-    "mirror simulate data model --generator generator --width 96 --height 64 --scenario cut-in --policy idm --out run",
 )
 _SYNTH = "synth:"
 
@@ -59,6 +58,8 @@ class Arguments:
     generator: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
     """Generator of road users, which `mirror generate train` wrote, over the street of MODEL. The drive runs at the
     rate of its training."""
+    hz: Annotated[float | None, help_text(default="that of the generator's training")] = None
+    """With --generator: steps of the drive in a second."""
     sampler_steps: int = 4
     """Steps of the generator's sampler."""
     blend: Annotated[str, help_text(metavar="PIXELS|none")] = "4"
@@ -152,10 +153,11 @@ def _request(arguments: Arguments) -> RolloutRequest:
     factory = RendererFactory(name, arguments.model, arguments.method, device=device_name, generator=generator)
     seed, policy_name = arguments.seed, arguments.policy
     if arguments.replay is not None:
-        if arguments.scenario is not None or policy_name is not None or seed is not None:
+        given = (arguments.scenario, policy_name, seed, arguments.hz)
+        if any(one is not None for one in given):
             raise UsageError(
-                "it has its own scenario, controls and seed", place="--replay",
-                expected="neither --scenario nor --policy nor --seed",
+                "it has its own scenario, controls, seed and rate", place="--replay",
+                expected="neither --scenario nor --policy nor --seed nor --hz",
             )  # fmt: skip
         earlier = read_rollout(arguments.replay)
         file = str(arguments.replay / SCENARIO_FILE)
@@ -172,7 +174,9 @@ def _request(arguments: Arguments) -> RolloutRequest:
         file = scenario_file(arguments.scenario)
         scenario, policy = read_scenario(arguments.scenario), _policy(arguments, policy_name)
     if generator is not None and arguments.replay is None:
-        scenario = generator.at_trained_rate(scenario)
+        scenario = generator.at_rate(scenario, arguments.hz)
+    if generator is not None and not arguments.json:
+        print(generator.describe_rate(scenario), flush=True)
     if arguments.duration is not None:
         if round(arguments.duration * scenario.rate_hz) < 1:
             raise UsageError(
@@ -219,7 +223,8 @@ def _request(arguments: Arguments) -> RolloutRequest:
 
 def _generator(arguments: Arguments) -> DriveGenerator | None:
     if arguments.generator is None:
-        for option, is_given in (("--fallback", arguments.fallback is not None), ("--blend", arguments.blend != "4")):
+        given = (arguments.fallback is not None, arguments.blend != "4", arguments.hz is not None)
+        for option, is_given in zip(("--fallback", "--blend", "--hz"), given):
             if is_given:
                 raise UsageError("it concerns generated road users", place=option, expected="--generator beside it")
         return None

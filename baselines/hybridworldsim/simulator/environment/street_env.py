@@ -104,7 +104,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         name = renderer or ("boxes" if model is None else "reconstructed" if generator is None else "generated")
         choice = None if generator is None else _open_generator(Path(generator))
         if choice is not None:
-            self._scenario = choice.at_trained_rate(self._scenario)
+            self._scenario = choice.at_rate(self._scenario)
         model_path = None if model is None else Path(model)
         self._factory = RendererFactory(name, model_path, method, option="method=", generator=choice)
         self._kind = action

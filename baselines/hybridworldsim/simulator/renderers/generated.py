@@ -20,6 +20,7 @@ from hybridworldsim.generation.inference.rollout import SequenceRollout
 from hybridworldsim.generation.layout.images import draw_frame_layout, takes_map
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
+from hybridworldsim.generation.scenes.rates import rate_note
 from hybridworldsim.generation.scenes.rollout import SceneGenerator
 from hybridworldsim.generation.scenes.scene_clip import CLASS_OF
 from hybridworldsim.simulator.policies.protocol import CameraSpec
@@ -51,16 +52,29 @@ class DriveGenerator:
     rollout: ClipRolloutOptions = field(default_factory=lambda: ClipRolloutOptions(blend_px=4))
     falls_back: bool = False
 
-    def at_trained_rate(self, scenario: Scenario) -> Scenario:
-        """Return a scenario with the highest rate of the generator's training, if its file states one.
+    def at_rate(self, scenario: Scenario, hz: float | None = None) -> Scenario:
+        """Return a scenario at another rate.
+
+        Args:
+            scenario: the scenario.
+            hz: steps in a second; None: the highest rate of the generator's training, if its file states one.
 
         Raises:
+            UsageError: the rate is not finite or not above 0, or the scenario has no whole step at it.
             DatasetError: the file is missing, broken, or no generator.
         """
         rates = self.files.trained_rates()
-        if rates is None:
-            return scenario
-        return Scenario.model_validate({**scenario.model_dump(), "rate_hz": rates[1]})
+        wanted = hz if hz is not None else scenario.rate_hz if rates is None else rates[1]
+        if not 0.0 < wanted <= 1000.0 or round(scenario.duration_s * wanted) < 1:
+            raise UsageError(
+                f"{wanted:g} Hz", place="--hz", expected=f"a rate with at least one step in {scenario.duration_s:g} s",
+                remedy="name another rate with --hz",
+            )  # fmt: skip
+        return Scenario.model_validate({**scenario.model_dump(), "rate_hz": wanted})
+
+    def describe_rate(self, scenario: Scenario) -> str:
+        """Describe the rate of a drive, and whether the generator was trained at it."""
+        return rate_note([scenario.rate_hz], self.files.trained_rates()) or f"rate: {scenario.rate_hz:g} Hz"
 
     def open(self, cameras: Mapping[str, CameraSpec], device: str = "cpu") -> SceneGenerator:
         """Read the generator for the images of some cameras, and move it to a device.

@@ -293,7 +293,8 @@ def test_file_extractor_reads_masks(tmp_path: Path) -> None:
 
 def test_masks_of_files_are_scored_again_when_they_change(dataset: Dataset, root: Path, tmp_path: Path) -> None:
     """A second run into the same folder has the figures of a new run; one without a change reuses all values."""
-    protocol = load_protocol("editing-accuracy-small")
+    known = load_protocol("editing-accuracy-small")
+    protocol = known.model_copy(update={"frames": known.frames.model_copy(update={"every": 20})})
     plan = write_renders(dataset, protocol, tmp_path / "s")
     options = EvaluationOptions(workers=1, extractor=f"file:{tmp_path / 'masks'}")
 

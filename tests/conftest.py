@@ -148,3 +148,11 @@ def tiny_dataset(tiny_recordings: SynthReport, tmp_path_factory: pytest.TempPath
             assert not ingest_recordings(tiny_recordings.recordings, rois, folder / "dataset", IngestOptions()).failures
             make_split(folder / "dataset", "novel", NovelTraversal(train=1, held_out=1))
     return mirror.open(folder / "dataset")
+
+
+@pytest.fixture(scope="session")
+def made_street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of three lanes of one colour each (`tests/builders/lanes.py`); tests get copies of it."""
+    from tests.builders.lanes import write_lanes
+
+    return write_lanes(tmp_path_factory.mktemp("street") / "dataset")

@@ -16,7 +16,7 @@ from mirror.methods.training_images import list_training_images
 from mirror.protocols.document import Protocol
 from mirror.protocols.views import plan_views
 from mirror_baselines.mean_color import APPEARANCE, MAX_IMAGES, METHOD, mean_colour, render
-from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
+from tests.builders.lanes import CAMERAS, DRIVES, FRAMES
 
 
 class Still:

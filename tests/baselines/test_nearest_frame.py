@@ -23,7 +23,7 @@ from mirror.geometry.poses import Poses
 from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.views import plan_views
 from mirror_baselines.nearest_frame import APPEARANCE, METHOD, METRES_PER_RADIAN, find_nearest, render
-from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
+from tests.builders.lanes import CAMERAS, DRIVES, FRAMES
 
 COLOURS = {name: np.array(colour) for name, _, _, colour, _ in DRIVES}
 

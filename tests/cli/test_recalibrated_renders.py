@@ -27,7 +27,6 @@ from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.recalibration import lens_in_raster, recalibrate_views
 from mirror.schema.tables import CALIBRATIONS, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
-from tests.baselines.conftest import made_street  # noqa: F401 - a fixture
 
 LAYER = "refined@1"
 

@@ -47,10 +47,7 @@ from mirror.protocols.views import Plan, plan_views
 from mirror.protocols.views.view import RenderView
 from mirror.schema.tables import BOXES, DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
-from tests.baselines.conftest import (
-    initialise,
-    made_street,  # noqa: F401 - a fixture
-)
+from tests.builders.lanes import add_initial_points
 from tests.interruption import interrupt_before
 
 STEPS = 40
@@ -64,9 +61,11 @@ def _threads():
 
 
 @pytest.fixture(scope="module")
-def initialised(made_street: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:  # noqa: F811
+def initialised(made_street: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """The street with points of its training traversals, a wall on either side, and a depth map of each."""
-    return initialise(mirror.open(shutil.copytree(made_street, tmp_path_factory.mktemp("initialised") / "dataset")))
+    return add_initial_points(
+        mirror.open(shutil.copytree(made_street, tmp_path_factory.mktemp("initialised") / "dataset"))
+    )
 
 
 @pytest.fixture

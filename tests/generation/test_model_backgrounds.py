@@ -22,17 +22,14 @@ from mirror.cli.main import main
 from mirror.dataset import Dataset
 from mirror.errors import ExitCode
 from mirror.methods.appearance import AppearancePolicy
-from tests.baselines.conftest import (
-    initialise,
-    made_street,  # noqa: F401 - a fixture
-)
+from tests.builders.lanes import add_initial_points
 
 SIZE, FRAMES, T = (16, 24), 2, 5
 
 
 @pytest.fixture(scope="module")
-def street(made_street: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:  # noqa: F811
-    return initialise(mirror.open(shutil.copytree(made_street, tmp_path_factory.mktemp("street") / "dataset")))
+def street(made_street: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return add_initial_points(mirror.open(shutil.copytree(made_street, tmp_path_factory.mktemp("street") / "dataset")))
 
 
 @pytest.fixture(scope="module")

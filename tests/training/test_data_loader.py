@@ -13,7 +13,7 @@ from hybridworldsim.training.views import training_views
 from mirror.dataset import Dataset
 from mirror.geometry.cameras import Camera
 from mirror.protocols.document import load_protocol
-from tests.baselines.conftest import dataset, made_street  # noqa: F401 - fixtures
+from tests.baselines.conftest import dataset  # noqa: F401 - a fixture
 from tests.training.street import view
 
 

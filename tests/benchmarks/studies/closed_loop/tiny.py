@@ -7,18 +7,12 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import mirror
 from benchmarks.studies.closed_loop.declaration import FILE, Declaration, make_declaration
 from benchmarks.studies.closed_loop.records import Records
 from benchmarks.studies.closed_loop.study import Study
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.images.depth_codec import encode_depth
-from mirror.dataset.index import build_index
-from mirror.dataset.layer_writer import LayerWriter
-from mirror.dataset.layout import Layout
-from mirror.schema.tables import DEPTH, POINTS
+from tests.builders.lanes import add_initial_points
 
 SEED = 0
 
@@ -49,28 +43,5 @@ def tiny_study(folder: Path, dataset: Dataset, document: dict[str, Any] | None =
     street = folder / "out" / "streets" / f"street-{SEED}" / "dataset"
     if not street.exists():
         shutil.copytree(dataset.root, street)
-        _add_points(mirror.open(street))
+        add_initial_points(mirror.open(street))
     return Study(folder / "out", declaration, Records(folder / "outcomes.jsonl", declaration.hash))
-
-
-def _add_points(dataset: Dataset) -> None:
-    """Points of walls on either side of the training traversals, and a depth map of each."""
-    train = dataset.where(split="novel", role="train")
-    poses = train.table("ego_poses", ["tx_m", "ty_m", "tz_m"])
-    middle = np.array([column.to_numpy().mean() for column in poses.columns])
-    rng, layout = np.random.default_rng(0), Layout(Path(dataset.root))
-    for traversal in train.traversals():
-        places = middle + np.column_stack(
-            [rng.uniform(-40.0, 40.0, 150), rng.choice((-12.0, 12.0), 150), rng.uniform(0.0, 8.0, 150)]
-        )
-        same = {"r": 90, "g": 90, "b": 90, "kind": "background", "views": 3, "sigma_m": None}
-        rows = [
-            {"point": number, "x_m": x, "y_m": y, "z_m": z, **same} for number, (x, y, z) in enumerate(places.tolist())
-        ]
-        LayerWriter(layout, traversal, "points", "made", "1").finish(POINTS, rows, {})
-        depth = LayerWriter(layout, traversal, "depth", "made", "1")
-        lens = {"width_px": 6, "height_px": 4, "fx_px": 5.0, "fy_px": 5.0, "cx_px": 3.0, "cy_px": 2.0}
-        image = dataset.where(traversal=traversal).frames()[0].images["front_wide"]
-        flat = depth.file("map.png", encode_depth(np.full((4, 6), 9.0)))
-        depth.finish(DEPTH, [{"camera": "front_wide", "timestamp_ns": image.timestamp_ns, **lens, **flat}], {})
-    build_index(Path(dataset.root))

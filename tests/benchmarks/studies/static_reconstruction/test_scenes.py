@@ -16,7 +16,6 @@ from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
 from mirror.schema.tables import POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
-from tests.baselines.conftest import made_street  # noqa: F401 - a fixture
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def is_cached(dispatcher: Any, signature: tuple[Any, ...]) -> bool:
 
 
 def run_plain(dispatcher: Any, *args: Any) -> Any:
-    """Run a compiled function's source as plain Python, and those of the compiled functions that it calls."""
+    """Run a compiled function, and the compiled functions that it calls, as plain Python."""
     # Compiled code does not warn.
     with np.errstate(all="ignore"):
         return _plain(dispatcher, {})(*map(_with_fields, args))

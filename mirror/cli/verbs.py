@@ -54,7 +54,7 @@ VERBS: Final = PluginKind("verb", ENTRY_POINT_GROUP, "mirror VERB", "all", takes
 
 
 def find_command(verb: str) -> Command | None:
-    """Return the command of a verb; None: there is no such verb.
+    """Return the command of a verb; None if there is no such verb.
 
     Raises:
         UsageError: its package cannot be loaded.
@@ -65,12 +65,12 @@ def find_command(verb: str) -> Command | None:
 
 
 def verb_names() -> list[str]:
-    """List the verbs that are installed here, ours first; none is loaded."""
+    """List the names of the installed verbs, MIRROR's own first; no verb is loaded."""
     return [*_OWN, *VERBS.names()]
 
 
 def all_commands() -> dict[str, Command]:
-    """Return every verb that is installed here, ours first."""
+    """Return the commands of all installed verbs, MIRROR's own first."""
     return {**{verb: _own(verb) for verb in _OWN}, **VERBS.load_all()}
 
 

@@ -23,7 +23,7 @@ _dispatchers: Final[list[Any]] = []
 
 
 def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Function], _Function]:
-    """Compile a function with numba; it must not allocate, and it runs without Python's global lock.
+    """Compile a function with numba, to run without Python's global lock; the function must not allocate.
 
     The machine code is cached on disk. It is compiled again after any change of a source file in `kernels/`, in
     `rasterizer/` or in the folder of the function's own module: a kernel contains the helpers and constants that it

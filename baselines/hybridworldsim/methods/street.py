@@ -109,7 +109,7 @@ class OpenStreetBlock:
 
 
 class StreetRenderer:
-    """Renders views by all blocks that they see.
+    """A renderer of each view by all blocks that it sees.
 
     Args:
         blocks: at least one block.

@@ -45,7 +45,7 @@ class DenseAdam:
         return {name: self._node.get_parameter(name) for name in self._names}
 
     def end_step(self) -> None:
-        """End a step: move all rows."""
+        """End a step: update all rows by their gradients."""
         for name in self.names:
             table = self._node.get_parameter(name)
             if table.grad is None:
@@ -77,7 +77,7 @@ class DenseAdam:
         return kept
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Restore what `state` returned; the tables have their rows already."""
+        """Restore what `state` returned; the tables already have their rows."""
         self.steps = int(state["dense.steps"])
         self._adam = self._make()
         for name in self.names:

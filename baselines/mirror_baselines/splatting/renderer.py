@@ -43,7 +43,7 @@ class RenderOutput:
 
 
 class SplattingRenderer:
-    """Gaussians and the settings that their images depend on.
+    """A renderer of Gaussians, with the settings on which their images depend.
 
     Args:
         model: the model.

@@ -60,7 +60,7 @@ def forward_speed(states: Float64) -> Float64:
 def nuplan_steps(
     states: Float64, halves: Float64, considered: Bool, speed: Float64, stopped: float, step: float, steps: int
 ) -> tuple[Int64, Int64]:
-    """Return after how many steps (T,) the boxes first touch (0: never), and the touched agent (T,), -1: none.
+    """Return the number of steps (T,) until the boxes touch (0: never), and the touched agent (T,), -1: none.
 
     Both move along their headings at the magnitudes of their speeds.
 

@@ -265,7 +265,7 @@ class Argoverse2Recording:
         return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """Return images of each camera; a file's name is taken as mid-exposure, exposure lengths are not recorded."""
+        """Return each camera's images; a file's name is taken as mid-exposure, as exposure lengths are not recorded."""
         streams: dict[str, ImageStream] = {}
         for source, files in self._images.items():
             name = _CANONICAL.get(source, to_identifier(source))

@@ -18,7 +18,7 @@ _FORMATS: Final = ("gpmd", "camm")
 
 
 class VideoGpsReader:
-    """Reads the fixes in a video as one drive, without images."""
+    """A reader of the fixes in a video as one drive, without images."""
 
     name = "video_gps"
     expects = "a video *.mp4 or *.mov with a track of fixes of GoPro (GPMF) or Google (CAMM)"

@@ -283,7 +283,7 @@ def shopfront(
 
 @per_pixel()
 def skyline(face: Records, u: float, v: float, fu: float, fv: float) -> Appearance:
-    """Evaluate the appearance of a distant wood: clumps that fade out where the footprint is wider than they are."""
+    """Evaluate the appearance of a distant wood: clumps that fade out where the footprint is wider."""
     wide = 0.5 * (fu + fv)
     clump = 1.0 + 0.30 * grain(u, v, 2.6, wide, face.seed) + 0.25 * grain(u, v, 0.9, wide, face.seed + 1)
     # The top is lighter than the shaded foot.

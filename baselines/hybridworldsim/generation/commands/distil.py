@@ -23,7 +23,7 @@ _EXAMPLES = (
 
 @dataclass(frozen=True)
 class Distil:
-    """Distil a trained generator to few steps, without guidance: its student jumps where the teacher walks.
+    """Distil a trained generator to a student that samples in few steps, without guidance.
 
     Ctrl-C leaves a checkpoint, and the same command continues; at the same number of threads the result is the same,
     bit for bit. `torchrun` starts several processes.

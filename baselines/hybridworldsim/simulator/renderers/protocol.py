@@ -46,7 +46,7 @@ class CameraView:
 
 
 class Renderer(ABC):
-    """Renders the street with its agents.
+    """A renderer of the street with its agents.
 
     Args:
         street: the street.

@@ -123,7 +123,7 @@ class Seconds:
 
 
 class ReconstructedRenderer(Renderer):
-    """Renders a trained model with agents in it. Cameras are rendered in parallel, on torch's number of threads.
+    """A renderer of a trained model with agents; cameras are rendered in parallel on torch's number of threads.
 
     Args:
         model: the model.

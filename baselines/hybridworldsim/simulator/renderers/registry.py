@@ -26,7 +26,7 @@ _OF_MODEL: Final = ("reconstructed", "generated")
 
 
 class RendererFactory:
-    """Makes the renderer of each rollout, and keeps what rollouts share, such as an open model.
+    """A factory of the renderer of each rollout, which keeps what rollouts share, such as an open model.
 
     Args:
         name: one of `RENDERERS`.

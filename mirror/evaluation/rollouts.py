@@ -12,6 +12,7 @@ from typing import Any, Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from mirror.counting import count_of
 from mirror.errors import UsageError
 from mirror.evaluation.clusters import compute_clusters
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
@@ -20,10 +21,12 @@ from mirror.evaluation.submission.manifest import Appearance, SubmissionManifest
 from mirror.evaluation.versions import list_versions
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
+from mirror.protocols.suite import Suite, list_drives
 from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import FolderKind, find_kind, require_output_folder
 from mirror.schema.hashing import HashStyle, hash_document
 from mirror.schema.rollout import MAP_FILE, ROLLOUT, SCENARIO_FILE, Rollout, read_rollout
+from mirror.schema.scenario import encode_scenario
 
 _OTHERS: Final = {
     FolderKind.DATASET: "a dataset, and no submission given",
@@ -76,6 +79,8 @@ def evaluate_rollouts(
     require_output_folder(out, FolderKind.RESULTS)
     rollouts = {path: read_rollout(path) for path in folders}
     _require_one_policy(rollouts)
+    if protocol.suite is not None:
+        _require_whole_suite(rollouts, protocol.suite, protocol.name, folder)
     progress.start("scoring rollouts", len(rollouts))
     scored = []
     for path, rollout in rollouts.items():
@@ -111,7 +116,7 @@ def make_result(scored: Sequence[ScoredRollout], protocol: Protocol) -> Result:
         weights={},
         versions=list_versions(),
         options={"world": policy.world, "road_map": ", ".join(sorted({_map_source(one) for one in scored}))},
-        warnings=tuple(_list_warnings(scored)),
+        warnings=tuple(_list_warnings(scored, protocol)),
     )
 
 
@@ -163,6 +168,33 @@ def _require_one_policy(rollouts: dict[Path, Rollout]) -> None:
             )
 
 
+def _require_whole_suite(rollouts: dict[Path, Rollout], suite: Suite, name: str, folder: Path) -> None:
+    """Refuse rollouts that are not exactly the drives of a suite."""
+    again = f"mirror simulate --suite {name} drives what is missing, in the same folder"
+    asked = {drive.key: drive for drive in list_drives(suite)}
+    given = {(one.scene_id, one.scenario, one.seed): path for path, one in rollouts.items()}
+    for key, path in given.items():
+        if key not in asked:
+            raise UsageError(
+                f"scenario {key[1]} with seed {key[2]} in scene {key[0]} is no drive of the suite {name}", file=path,
+                expected="the drives of the suite alone", remedy="evaluate it by the protocol safety",
+            )  # fmt: skip
+        if rollouts[path].world != suite.renderer:
+            raise UsageError(
+                f"its images are of {rollouts[path].world}", file=path, expected=suite.renderer, remedy=again
+            )
+        if (path / SCENARIO_FILE).read_bytes() != encode_scenario(asked[key].scenario):
+            raise UsageError(
+                "the scenario is not that of the suite", file=path / SCENARIO_FILE, expected=name, remedy=again
+            )
+    missing = [drive for key, drive in asked.items() if key not in given]
+    if missing:
+        raise UsageError(
+            f"{count_of(len(missing), 'drive')} of {len(asked)} are missing, the first: {missing[0].folder}",
+            file=folder, expected=f"all drives of the suite {name}", remedy=again,
+        )  # fmt: skip
+
+
 def _identify(scored: Sequence[ScoredRollout]) -> DatasetIdentity:
     """Identify what was driven: the world as the split, its data, the scenarios with their seeds as the plan."""
     first = scored[0].rollout
@@ -181,7 +213,7 @@ def _map_source(scored: ScoredRollout) -> str:
     return scored.rollout.map_source or ("fitted" if scored.has_fitted_map else "not stated")
 
 
-def _list_warnings(scored: Sequence[ScoredRollout]) -> list[str]:
+def _list_warnings(scored: Sequence[ScoredRollout], protocol: Protocol) -> list[str]:
     warnings = []
     fitted = sum(one.has_fitted_map for one in scored)
     if fitted:
@@ -193,8 +225,11 @@ def _list_warnings(scored: Sequence[ScoredRollout]) -> list[str]:
     if failed:
         # The folder itself may be the rollout.
         place = "" if failed[0].path == "." else f" {failed[0].path}:"
+        score = "which are scored up to there"
+        if protocol.suite is not None:
+            score = f"whose PDMS and EPDMS are {protocol.suite.failed:g}"
         warnings.append(
-            f"the policy failed in {len(failed)} of {len(scored)} rollouts, which are scored up to there; the first:"
+            f"the policy failed in {len(failed)} of {len(scored)} rollouts, {score}; the first:"
             f"{place} {failed[0].rollout.reason or 'no reason given'}"
         )
     return warnings

@@ -13,6 +13,7 @@ from mirror.geometry.cameras import WIDEST_DEG
 from mirror.protocols.metrics import Metric, figure_names, metric_name
 from mirror.protocols.ranking import Ranking
 from mirror.protocols.rectangle import Rectangle
+from mirror.protocols.suite import Suite
 from mirror.schema.documents import Document, Identifier, Role
 from mirror.schema.hashing import HashStyle, hash_document
 from mirror.schema.problems import describe_problems
@@ -164,6 +165,7 @@ class Protocol(Document):
         vehicles: vehicles that are edited; None: none.
         fitted_part: the only part of held-out images that an appearance may be fitted to. A submission with a fitted
             appearance is scored on the rest, in every group. None: no appearance may be fitted. The hash omits None.
+        suite: drives that a policy is asked for; None: rollouts are scored whatever they are of. The hash omits None.
         metrics: metrics that are computed.
         ranking: the figure that ranks results; None: the protocol ranks nothing. The hash omits None.
         averaging: levels of the mean, innermost first: image values are averaged within each part of the first level,
@@ -181,6 +183,7 @@ class Protocol(Document):
     masks: Masks
     vehicles: Vehicles | None = None
     fitted_part: Rectangle | None = Field(default=None, exclude_if=lambda part: part is None)
+    suite: Suite | None = Field(default=None, exclude_if=lambda suite: suite is None)
     metrics: tuple[Metric, ...] = Field(min_length=1)
     ranking: Ranking | None = Field(default=None, exclude_if=lambda ranking: ranking is None)
     averaging: tuple[Literal["traversal", "scene"], ...]
@@ -195,6 +198,8 @@ class Protocol(Document):
         edits = any(group.vehicle_shift_m is not None or group.without_vehicles for group in self.groups)
         if edits and self.vehicles is None:
             raise ValueError("groups edit vehicles, but there is no table [vehicles] that selects them")
+        if self.suite is not None and self.task != "safety":
+            raise ValueError(f"a suite of drives in a protocol of the task {self.task!r}, not 'safety'")
         self._require_known_ranking()
         return self
 

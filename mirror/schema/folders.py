@@ -45,6 +45,7 @@ class FolderKind(Enum):
     MODEL = "a reconstructed model"
     RUN = "a training run"
     ROLLOUT = "a rollout of `mirror simulate`"
+    SUITE = "drives of a suite of `mirror simulate`"
     EXPORT = "an export of `mirror export`"
     RESULTS = "results of `mirror evaluate`"
     DEMO = "the folder of a demo"
@@ -84,6 +85,7 @@ _KINDS: Final[Mapping[FolderKind, _Signs]] = {
     FolderKind.MODEL: _Signs({"reconstruction.json": "mirror-reconstruction"}),
     FolderKind.RUN: _Signs({"run.json": "mirror-run"}),
     FolderKind.ROLLOUT: _Signs({"run.json": "mirror-rollout"}, marks=(".driving",), sealed=True),
+    FolderKind.SUITE: _Signs({"suite.json": "mirror-suite"}),
     FolderKind.EXPORT: _Signs({"export.json": "mirror-export"}, marks=(".exporting",)),
     FolderKind.RESULTS: _Signs({"result.json": "mirror-result"}, marks=("work/scored.jsonl", "work/features")),
     FolderKind.DEMO: _Signs(marks=(".made-by-mirror-demo",)),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -35,10 +36,13 @@ class Arguments:
     complete. `mirror evaluate RUN --protocol safety` scores the folder.
     """
 
-    source: Annotated[tyro.conf.Positional[str], help_text(metavar="DATASET|synth:PRESET")]
-    """Folder or URL of a dataset, or a synthetic street, synth:PRESET[:SEED[:DRIVE]]."""
     out: Annotated[Path, help_text(metavar="RUN")]
-    """A new folder."""
+    """A new folder; with --suite, also one with drives of the same suite and policy, which are kept."""
+    source: Annotated[
+        tyro.conf.Positional[str | None],
+        help_text(default="required without --suite", metavar="DATASET|synth:PRESET"),
+    ] = None
+    """Folder or URL of a dataset, or a synthetic street, synth:PRESET[:SEED[:DRIVE]]."""
     model: Annotated[tyro.conf.Positional[Path | None], help_text(default="none", metavar="MODEL")] = None
     """Folder of a model of the scene, which `mirror reconstruct` wrote: it renders the images."""
     scenario: Annotated[str | None, help_text(default="that of --replay", metavar="NAME|FILE.toml")] = None
@@ -97,6 +101,11 @@ class Arguments:
     """Longest time that the policy may take for an action."""
     replay: Annotated[Path | None, help_text(default="none", metavar="RUN")] = None
     """Repeat the controls of an earlier rollout on its street, with its scenario and seed, and compare the states."""
+    suite: Annotated[str | None, help_text(default="none", metavar="NAME|FILE.toml")] = None
+    """Drive all drives of a protocol with a suite, such as closed-loop-mini; of the options, only --policy, --out,
+    --workers and --json count. Repeat the command after an interruption."""
+    workers: Annotated[int | None, help_text(default="the number of cores")] = None
+    """Number of processes of --suite."""
     json: bool = False
     """Print JSON."""
 
@@ -104,6 +113,10 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror simulate", examples=_EXAMPLES)
+    if arguments.suite is not None:
+        return _drive_suite(arguments, arguments.suite)
+    if arguments.workers is not None:
+        raise UsageError("a single drive has one process", place="--workers", expected="--suite NAME")
 
     from hybridworldsim.simulator.rollout.run import require_new_rollout, run_rollout
     from mirror.progress import progress_bar
@@ -120,6 +133,45 @@ def main(argv: Sequence[str]) -> int:
     return ExitCode.FINDINGS if result.error is not None or same is False else ExitCode.DONE
 
 
+def _drive_suite(arguments: Arguments, suite: str) -> int:
+    from hybridworldsim.simulator.suite import drive_suite
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+
+    kept = ("policy", "out", "suite", "workers", "json")
+    for field in fields(Arguments):
+        if field.name not in kept and getattr(arguments, field.name) != field.default:
+            raise UsageError(
+                "the suite states it", place="DATASET" if field.name == "source" else f"--{field.name}",
+                expected="--suite, --policy, --out, --workers and --json alone",
+            )  # fmt: skip
+    if arguments.policy is None or "://" in arguments.policy:
+        raise UsageError(
+            arguments.policy or "no policy", place="--policy", expected="an installed policy, or FILE.py:CLASS"
+        )
+    workers = arguments.workers if arguments.workers is not None else os.cpu_count() or 1
+    if workers < 1:
+        raise UsageError(f"{workers} processes", place="--workers", expected="at least 1")
+    protocol = load_protocol(suite)
+    with progress_bar(quiet=arguments.json) as bar:
+        done = drive_suite(protocol, arguments.policy, arguments.out, workers=workers, reporter=bar)
+    if arguments.json:
+        print(json.dumps({"run": str(arguments.out), **asdict(done)}))
+    else:
+        endings = ", ".join(f"{count} by {ending.replace('_', ' ')}" for ending, count in done.endings.items())
+        print(f"{arguments.out}: {done.drives} drives, {done.reused} of them driven before; ended {endings}")
+        for what, errors in (("the policy failed", done.policy_errors), ("the machine failed", done.machine_errors)):
+            for folder, reason in errors.items():
+                print(f"  {what} in {folder}: {reason}")
+        if not done.machine_errors:
+            print(f"next: mirror evaluate {arguments.out} --protocol {suite} --report")
+        else:
+            print("next: repeat the command, which drives what is missing")
+    if done.machine_errors:
+        return ExitCode.PARTLY_DONE
+    return ExitCode.FINDINGS if done.policy_errors else ExitCode.DONE
+
+
 def _request(arguments: Arguments) -> RolloutRequest:
     from hybridworldsim.simulator.renderers.protocol import rig_cameras
     from hybridworldsim.simulator.renderers.registry import RendererFactory, choose_renderer_device
@@ -130,6 +182,8 @@ def _request(arguments: Arguments) -> RolloutRequest:
     from mirror.schema.rollout import SCENARIO_FILE, read_rollout
     from mirror.schema.scenario import Scenario, read_scenario, scenario_file
 
+    if arguments.source is None:
+        raise UsageError("no street", place="DATASET", expected="a dataset, synth:PRESET, or --suite NAME")
     for option, seconds in (("--deadline", arguments.deadline), ("--duration", arguments.duration)):
         if seconds is not None and not 0.0 < seconds <= 3600.0:
             raise UsageError(f"{seconds:g} s", place=option, expected="a number of seconds above 0, at most 3600")

@@ -21,6 +21,9 @@ from mirror.schema.road_map import RoadMap, read_road_map
 from mirror.schema.rollout import MAP_FILE, SCENARIO_FILE, STATES_FILE, Rollout
 from mirror.schema.scenario import Scenario, read_scenario
 
+_DRIVING_SCORES: Final = ("epdms", "pdms")
+"""Scores of a drive as a whole, which a suite states for drives that the policy ends."""
+
 TOO_FEW_SCENARIOS: Final = f"fewer than {MIN_BLOCKS} scenarios"
 
 
@@ -91,6 +94,8 @@ def score_drive(
     least = values.get("least_ttc")
     if least is not None:
         values["least_ttc"] = min(least, horizon_s)
+    if protocol.suite is not None and rollout.ending == "policy":
+        values |= {name: protocol.suite.failed for name in _DRIVING_SCORES if name in values}
     reasons = {name: figure.reason for name, figure in figures.items() if figure.reason is not None}
     causes = {name: figure.cause for name, figure in figures.items() if figure.cause is not None}
     return ScoredRollout(path, rollout, scenario, road_map.fitted, values, reasons, causes)

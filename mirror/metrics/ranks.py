@@ -25,6 +25,9 @@ MIN_CLUSTERS: Final = 5
 
 _ROUNDING: Final = 1e-12
 """Differences below this share of the largest score are rounding."""
+_LEAST_ERROR: Final = 1.0 / 3.0
+"""Least standard error of a draw, as a share of the sample's. Draws that miss the only cluster that differs have none
+of their own, and one such pair would else hide the differences of all."""
 _CHUNK: Final = 1 << 20
 
 
@@ -180,9 +183,10 @@ def _studentise(values: Float64, counts: Float64, tolerance: float) -> Float64:
     clusters = len(values)
     means = counts @ values / clusters
     variances = (counts @ values**2 / clusters - means**2) * (clusters / (clusters - 1))
-    errors = np.sqrt(np.maximum(variances, 0.0) / clusters)
+    least = _LEAST_ERROR * values.std(axis=0, ddof=1)
+    errors = np.maximum(np.sqrt(np.maximum(variances, 0.0)), least) / math.sqrt(clusters)
     is_zero = np.abs(means) <= tolerance
-    # Draws of equal values have no error: as far from 0 as can be, so that they separate nothing.
+    # Equal differences in all clusters have no error: as far from 0 as can be.
     constant = errors <= np.maximum(tolerance, _ROUNDING * np.abs(means))
     t = np.where(constant, np.copysign(np.inf, means), means / np.where(constant, 1.0, errors))
     return np.where(is_zero, 0.0, t)

@@ -50,7 +50,7 @@ def test_decisions_of_few_clusters_are_those_of_all_resamplings() -> None:
     rng = np.random.default_rng(1)
     clusters, decided = 5, 0
     draws = np.array(list(itertools.product(range(clusters), repeat=clusters)))
-    for scale in (0.5, 2.0, 3.0, 4.0, 8.0):
+    for scale in (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0):
         scores = rng.standard_normal((3, clusters)) + scale * np.arange(3)[:, None]
         pairs = list(itertools.permutations(range(3), 2))
         t, drawn = {}, {}
@@ -58,11 +58,8 @@ def test_decisions_of_few_clusters_are_those_of_all_resamplings() -> None:
             difference = scores[one] - scores[other]
             t[one, other] = min(stats.ttest_1samp(difference, 0.0).statistic, clusters)
             chosen = (difference - difference.mean())[draws]
-            spread = chosen.std(axis=1, ddof=1)
-            is_flat = chosen.max(axis=1) == chosen.min(axis=1)
-            drawn[one, other] = np.where(
-                is_flat, np.sign(chosen[:, 0]) * np.inf, chosen.mean(axis=1) / np.where(is_flat, 1, spread / 5**0.5)
-            )
+            spread = np.maximum(chosen.std(axis=1, ddof=1), difference.std(ddof=1) / 3.0)
+            drawn[one, other] = chosen.mean(axis=1) / (spread / 5**0.5)
         left, critical = set(pairs), math.inf
         while left:
             critical = np.quantile(np.max([drawn[pair] for pair in left], axis=0), 0.95, method="higher")
@@ -160,6 +157,13 @@ def test_intervals_hold_their_ranks_and_decisions_are_an_order(scores: Float64) 
     doubled = rank_intervals(np.repeat(scores, 2, axis=0), **FAST)
     assert np.array_equal(doubled.ranks[::2], doubled.ranks[1::2])
     assert np.array_equal(doubled.high[::2], doubled.high[1::2])
+
+
+def test_a_difference_that_one_cluster_lacks_hides_no_other() -> None:
+    """A third of the draws misses the ninth cluster, and has no error of its own."""
+    constant = np.full(10, 0.7)
+    scores = np.array([constant, 0.02 * np.eye(10)[8], 0.4 + 0.1 * white(1, 10)[0]])
+    assert shown(rank_intervals(scores)) == ["1 (1-1)", "3 (3-3)", "2 (2-2)"]
 
 
 def test_a_hidden_offset_costs_nothing() -> None:

@@ -31,7 +31,7 @@ _FORGEABLE: Final = (
 _NO_INTERVAL: Final = "no interval: "
 
 _MAX_COLUMNS: Final = 9
-"""The number of usual columns that fits a window of 1280 px."""
+"""The number of usual columns, with that of ranks, that fits a window of 1280 px."""
 _USUAL_HEAD: Final = 14
 """Letters of the longest head of a usual column."""
 
@@ -128,24 +128,29 @@ def board_tables(board: Board, notes: dict[str, int]) -> list[BoardTable]:
         notes: numbers of the footnotes of its section; new ones are added.
     """
     # The table that ranks comes first.
-    parts = sorted(_split_columns(board.columns), key=lambda part: board.ranked_by not in part)
+    parts = sorted(
+        _split_columns(board.columns, _MAX_COLUMNS - (board.ranks is not None)),
+        key=lambda part: board.ranked_by not in part,
+    )
     return [_arrange_table(board, part, notes, named=len(parts) > 1) for part in parts]
 
 
-def _split_columns(columns: Sequence[Column]) -> list[list[Column]]:
+def _split_columns(columns: Sequence[Column], most: int) -> list[list[Column]]:
     """Split columns into parts that fit a window, each with whole groups; a group that does not fit is cut."""
     groups = [
-        piece for _, members in groupby(columns, key=lambda column: column[0]) for piece in _cut_group(list(members))
+        piece
+        for _, members in groupby(columns, key=lambda column: column[0])
+        for piece in _cut_group(list(members), most)
     ]
     widest = max(map(_find_width, groups))
-    each = len(groups) if _find_width(columns) <= _MAX_COLUMNS else max(int(_MAX_COLUMNS // widest), 1)
+    each = len(groups) if _find_width(columns) <= most else max(int(most // widest), 1)
     each = ceil(len(groups) / ceil(len(groups) / each))
     return [list(chain(*groups[start : start + each])) for start in range(0, len(groups), each)]
 
 
-def _cut_group(columns: Sequence[Column]) -> list[list[Column]]:
+def _cut_group(columns: Sequence[Column], most: int) -> list[list[Column]]:
     """Cut the columns of a group into pieces with similar numbers of columns that fit a window."""
-    each = ceil(len(columns) / ceil(_find_width(columns) / _MAX_COLUMNS))
+    each = ceil(len(columns) / ceil(_find_width(columns) / most))
     return [list(columns[start : start + each]) for start in range(0, len(columns), each)]
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from mirror.dataset import owned_folder
 from mirror.dataset.owned_folder import LEFT_OVER_AGE_S, OwnedFolder, abandoned_folders
-from tests.interruption import NEVER_S, Running
+from tests.processes import NEVER_S, Running
 
 
 def own_a_folder(parent: str) -> None:

@@ -15,7 +15,8 @@ from mirror.dataset.dataset import Dataset
 from mirror.evaluation.run import EvaluationOptions, evaluate
 from tests.builders.folder import tree
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
-from tests.interruption import MOST_S, NEVER_S, SIGNALS, Running, finish, interrupt, stop_thrice
+from tests.interruption import MOST_S, SIGNALS, finish, interrupt, stop_thrice
+from tests.processes import NEVER_S, Running
 
 SAYS = "held: interrupted: run the same command again\n"
 

@@ -18,7 +18,8 @@ from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
 from tests.builders.folder import SCENE, START_NS, tree, write_recording
-from tests.interruption import SIGNALS, Running, interrupt, interrupt_before, kill_command_before
+from tests.interruption import SIGNALS, interrupt, interrupt_before, kill_command_before
+from tests.processes import Running
 
 HOUR_NS = 3_600_000_000_000
 KILLS = (

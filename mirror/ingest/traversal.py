@@ -77,7 +77,7 @@ class WriteReport:
 
 
 def traversal_id(drive_id: str, one: Pass) -> str:
-    """Return ``scene.drive.entry_ms``."""
+    """Make the id of a traversal: ``scene.drive.entry_ms``."""
     return f"{one.scene_id}.{drive_id}.{one.entry_ns // 1_000_000}"
 
 

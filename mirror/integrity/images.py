@@ -89,7 +89,7 @@ class ImageFileReader:
         )
 
     def contents(self, files: ImageFiles) -> ImageContents:
-        """Decode the images and compute their hashes, sizes and spreads.
+        """Decode the images and compute their hashes, sizes and value ranges.
 
         Args:
             files: result of `files`; a file that is too short is not read.

@@ -65,7 +65,7 @@ def encode_points(points: Tensor, position_range: Tensor) -> Tensor:
 
 
 def multiview_sine(cameras: int, height: int, width: int, features: int, *, dtype: torch.dtype) -> Tensor:
-    """Return sines (N, 3 features, H, W) of the camera's number, the row and the column.
+    """Return the sine encoding (N, 3 features, H, W) of camera number, row and column.
 
     In each part all sines come first.
 
@@ -85,7 +85,7 @@ def multiview_sine(cameras: int, height: int, width: int, features: int, *, dtyp
 
 
 def query_sine(reference: Tensor, features: int) -> Tensor:
-    """Return sines (Q, 3 features) of reference points (Q, 3) in 0..1.
+    """Return the sine encoding (Q, 3 features) of reference points (Q, 3) in 0..1.
 
     The order is y, x, z, with sines and cosines alternating.
     """

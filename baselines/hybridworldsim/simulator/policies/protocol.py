@@ -51,7 +51,7 @@ class ObservationSpec:
 
 @dataclass(frozen=True, eq=False)
 class PrivilegedState:
-    """The exact state of the world, which only reference policies get.
+    """The exact state of the world, meant for reference policies.
 
     Attributes:
         time_s: time since the start.

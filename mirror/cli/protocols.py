@@ -17,8 +17,7 @@ from mirror.errors import ExitCode
 _LIST_EXAMPLES: Final = ("mirror protocols list", "mirror protocols list --json")
 _SHOW_EXAMPLES: Final = (
     "mirror protocols show static-reconstruction",
-    "mirror protocols show lane-shift --json",
-    "mirror protocols show mine.toml",
+    "mirror protocols show mine.toml --json",
 )
 
 

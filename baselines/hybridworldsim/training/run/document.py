@@ -78,11 +78,13 @@ def require_same_run(path: Path, kind: type[Document], stated: Mapping[str, Any]
         differing.append(f"device {begun}, now {now}")
     if differing:
         elsewhere = "name another folder with --out"
-        same = before["threads"] == stated["threads"]
+        threads = "" if finished or before["threads"] == stated["threads"] else f"--threads {before['threads']}"
+        device = "" if begun == now else f"{OPTION} {begun}"
+        options = " ".join(filter(None, (threads, device)))
         raise UsageError(
             f"a run of other settings began here: {'; '.join(differing[:4])}", file=path,
             expected="the same dataset, method and settings",
-            remedy=_remedy(elsewhere, None if same or finished else before["threads"], None if begun == now else begun),
+            remedy=f"{options}, or {elsewhere}" if options else elsewhere,
         )  # fmt: skip
 
 
@@ -96,11 +98,6 @@ def is_occupied(path: Path) -> bool:
 def _kind_of_device(computed: Mapping[str, Any] | None) -> str:
     """``cpu`` or ``cuda``; runs that state nothing were made on the CPU."""
     return CPU if computed is None else str(computed["device"]).partition(":")[0]
-
-
-def _remedy(elsewhere: str, threads: int | None, device: str | None) -> str:
-    options = [f"--threads {threads}" if threads else "", f"{OPTION} {device}" if device else ""]
-    return ", or ".join(filter(None, (" ".join(filter(None, options)), elsewhere)))
 
 
 def _differing(before: Mapping[str, Any], current: Mapping[str, Any], under: str = "") -> list[str]:

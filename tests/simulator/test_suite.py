@@ -74,7 +74,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         first, second, *rest = text.split(f"[[suite.{table}]]")
         text = f"{first}[[suite.{table}]]{second}" + (rest[0][rest[0].index("[[") :] if table == "streets" else "")
         if table == "starts":
-            text += '\n[[suite.starts]]\nseed = 1\nalong_m = 15.0\nspeed_mps = 11.0\n\n[[metrics]]\nmetric = "epdms"\n'
+            text += "\n[[suite.starts]]\nseed = 1\nalong_m = 15.0\nspeed_mps = 11.0\n"
+            text += "".join(f'\n[[metrics]]\nmetric = "{name}"\n' for name in ("epdms", "progress_share"))
     (out / "short.toml").write_text(text)
     (out / "policies.py").write_text(POLICY)
     return out

@@ -70,6 +70,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = read_definition("closed-loop-mini").decode()
     text = text.replace("duration_s = 8.0", "duration_s = 2.0").replace('name = "closed-loop-mini"', 'name = "short"')
     text = text.replace('"crossing-pedestrian", "stopped-queue", "free-traffic"', "").replace('"hard-brake", ', "")
+    text = text.replace("synth:reconstruction:1:", "synth:tiny:1:")
     for table in ("streets", "starts"):
         first, second, *rest = text.split(f"[[suite.{table}]]")
         text = f"{first}[[suite.{table}]]{second}" + (rest[0][rest[0].index("[[") :] if table == "streets" else "")

@@ -75,15 +75,15 @@ class Rollout(Document):
     reason: str | None = None
     route_m: tuple[tuple[Number, Number], ...]
     threads: int | None = None
-    views: dict[str, int] | None = None
+    views: dict[str, int] | None = Field(default=None, exclude_if=lambda views: views is None)
     versions: dict[str, str]
     files: dict[str, FileEntry]
 
     @property
     def hash(self) -> str:
         """SHA-256 of the canonical content without the versions; files are covered by their hashes."""
-        # Rollouts that do not state the source of their map, or counts of views, keep the hash that they had before.
-        unstated = {name for name in ("map_source", "views") if getattr(self, name) is None}
+        # Rollouts that do not state the source of their map keep the hash that they had before.
+        unstated = {"map_source"} if self.map_source is None else set()
         plain = self.model_dump(mode="json", exclude={"versions", *unstated})
         return hash_document(plain, HashStyle.CANONICAL)
 

@@ -13,6 +13,7 @@ from typing import Any, Final, Literal, TypeVar
 import numpy as np
 from numba import njit, types
 from numba.core import event
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher, OmittedArg
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -129,9 +130,11 @@ def machine_code_only() -> Iterator[None]:
 def is_cached(dispatcher: Any, signature: tuple[Any, ...]) -> bool:
     """Return whether the machine code of a compiled function for types of arguments is on disk."""
     cache: Any = dispatcher._cache
-    dispatcher.targetctx.refresh()
-    key = cache._index_key(signature, dispatcher.targetctx.codegen())
-    return key in cache._cache_file._load_index()
+    # Threads must not refresh numba's tables at one time: "generator already executing".
+    with global_compiler_lock:
+        dispatcher.targetctx.refresh()
+        key = cache._index_key(signature, dispatcher.targetctx.codegen())
+        return key in cache._cache_file._load_index()
 
 
 def run_plain(dispatcher: Any, *args: Any) -> Any:

@@ -134,7 +134,8 @@ def test_a_model_of_a_method_in_a_file_is_opened_by_every_verb(
     with subprocess.Popen([*map(str, serve)], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None
-            assert "SensorsimService at 127.0.0.1:" in server.stdout.readline()
+            lines = [server.stdout.readline() for _ in range(2)]
+            assert lines[0].startswith("device: cpu") and "SensorsimService at 127.0.0.1:" in lines[1]
         finally:
             server.terminate()
 

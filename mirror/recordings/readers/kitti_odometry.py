@@ -13,6 +13,7 @@ Facts of the format, from the development kit of the benchmark:
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -97,7 +98,8 @@ def _is_root(path: Path) -> bool:
 
 
 def _is_sequence(path: Path) -> bool:
-    return path.parent.name == _SEQUENCES and (path / "times.txt").is_file() and (path / "calib.txt").is_file()
+    # By names alone: what a pipe or a broken link in their place is, the error of the file says when it is read.
+    return path.parent.name == _SEQUENCES and all(os.path.lexists(path / name) for name in ("times.txt", "calib.txt"))
 
 
 def _sequences(root: Path) -> list[str]:

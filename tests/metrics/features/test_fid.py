@@ -97,7 +97,7 @@ def test_keys_hold_all_that_matters():
 
 
 def test_modes_have_their_own_identity():
-    network = SimpleNamespace(fold=lambda: None)
+    network = SimpleNamespace(fold=lambda: SimpleNamespace(to=lambda device: None))
     assert InceptionFeatures(network, "tf1", name="x").identity != InceptionFeatures(network, name="x").identity
 
 

@@ -75,7 +75,7 @@ def test_a_proposal_is_a_topics_file_and_names_cameras(tmp_path: Path) -> None:
     ("text", "place", "words"),
     [
         ("x = [", "", "is not TOML"),
-        ('[pose]\ntopic = "/fix"\nspeed = 3\n', "pose.speed", "Extra"),
+        ('[pose]\ntopic = "/fix"\nspeed = 3\n', "pose.speed", "not known"),
         ("[pose]\n", "pose", "exactly one of topic and transform"),
         ('[pose]\ntopic = "/nothing"\n', "pose.topic", "no topic '/nothing'"),
         ('[pose]\ntopic = "/imu"\n', "pose.topic", "has the type sensor_msgs/msg/Imu"),

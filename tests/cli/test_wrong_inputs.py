@@ -399,11 +399,17 @@ def missing_options(remedy: str, said: str, words: str) -> set[str]:
     return set(stated) - options_of(command) if stated else set()
 
 
+def files_of(folder: Path) -> tuple[dict[str, str], list[Path]]:
+    """Names and hashes of a folder's files, and its entries; Python writes the bytecode of plug-ins beside them."""
+    files = {name: digest for name, digest in tree(folder).items() if "__pycache__" not in name}
+    return files, sorted(path for path in folder.iterdir() if path.name != "__pycache__")
+
+
 def test_wrong_inputs_are_refused_with_a_remedy(
     folder: Path, tiny_recordings: SynthReport, tiny_dataset: Dataset, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wrong = []
-    before = tree(folder), sorted(folder.iterdir())
+    before = files_of(folder)
     # What verbs import at their first call, such as torch and numba, is not their work.
     for warm_up in ("hybridworldsim.methods.static", "mirror.evaluation.run", "mirror.ingest.run"):
         __import__(warm_up)
@@ -426,7 +432,7 @@ def test_wrong_inputs_are_refused_with_a_remedy(
             wrong.append(f"{line}: {seconds:.1f} s")
     assert wrong == []
     assert len(REFUSED) >= 300
-    assert (tree(folder), sorted(folder.iterdir())) == before
+    assert files_of(folder) == before
     assert not list(Path(tiny_dataset.root).glob("traversals/*/layers/*/plane-sweep@*"))
 
 

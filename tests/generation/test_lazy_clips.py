@@ -12,12 +12,12 @@ import torch
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.folder import ClipFiles, clip_path, header_of, headers_of, read_header, write_clip
-from hybridworldsim.generation.clips.kept import KeptItems
 from hybridworldsim.generation.clips.weights import pixel_weights
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.training.clip_images import ClipImages
 from hybridworldsim.generation.training.generator_trainer import mean_of_views
 from hybridworldsim.generation.training.windows import ClipWindows
+from hybridworldsim.kept_items import KeptItems
 from mirror.errors import DatasetError
 from tests.generation.clips import make_clip
 from tests.generation.trained import CODEC, NETWORK, T

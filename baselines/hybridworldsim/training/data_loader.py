@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Generator, Iterator, Sequence, Set
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import Final
 import numpy as np
 import torch
 
+from hybridworldsim.kept_items import KeptItems
 from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.trainable.viewpoint import to_viewpoint
 from mirror.arrays import Float32, Float64
@@ -37,10 +37,6 @@ class TrainingImageCache:
         depth_of: traversals with the chosen layer of depth maps; no depth is read for others.
         sky: whether to read masks of the sky, for a method that learns from them.
         cache_bytes: limit of the cache; memory does not grow with the number of images beyond it.
-
-    Attributes:
-        held_bytes: size of the cached images.
-        opened: number of images opened so far, including repeated openings.
     """
 
     def __init__(
@@ -53,12 +49,20 @@ class TrainingImageCache:
         sky: bool = False,
         cache_bytes: int = CACHE_BYTES,
     ) -> None:
-        self._plan, self._origin, self._max_bytes = plan, origin_m, cache_bytes
+        self._plan, self._origin = plan, origin_m
         self._reads_sky, self._depth_of = sky, depth_of
         self._source = GroundTruth(dataset, plan.protocol, plan.layers)
-        self._cache: OrderedDict[str, TrainingImage] = OrderedDict()
-        self.held_bytes = 0
-        self.opened = 0
+        self._cache: KeptItems[str, TrainingImage] = KeptItems(cache_bytes)
+
+    @property
+    def held_bytes(self) -> int:
+        """Return the size of the cached images."""
+        return self._cache.held
+
+    @property
+    def opened(self) -> int:
+        """Return the number of images opened so far, including repeated openings."""
+        return self._cache.made
 
     def __call__(self, view: RenderView) -> TrainingImage:
         """The image of a view.
@@ -67,15 +71,7 @@ class TrainingImageCache:
             DatasetError: a file is missing or broken, or the image has several masks of the sky.
             UsageError: the image has several layers of depth and none was chosen.
         """
-        if view.path not in self._cache:
-            self._cache[view.path] = self._open(view)
-            self.opened += 1
-            self.held_bytes += self._cache[view.path].bytes
-        self._cache.move_to_end(view.path)
-        while self.held_bytes > self._max_bytes and len(self._cache) > 1:
-            _, oldest = self._cache.popitem(last=False)
-            self.held_bytes -= oldest.bytes
-        recorded = self._cache[view.path]
+        recorded = self._cache.get(view.path, lambda: self._open(view), lambda image: image.bytes)
         # The cache holds uint8: float32 colours would take four times the bytes.
         return replace(recorded, rgb=recorded.rgb.to(torch.float32).div_(255.0))
 

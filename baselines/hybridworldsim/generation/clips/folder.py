@@ -12,8 +12,8 @@ from typing import IO, Any, Final, Literal, overload
 import numpy as np
 
 from hybridworldsim.generation.clips.clip import Clip, ClipBoxes
-from hybridworldsim.generation.clips.kept import KEEP_BYTES, KeptItems
 from hybridworldsim.generation.clips.map_lines import MapLine
+from hybridworldsim.kept_items import KeptItems
 from mirror.arrays import AnyArray
 from mirror.errors import DatasetError
 from mirror.schema.documents import Document
@@ -21,6 +21,8 @@ from mirror.schema.files import read_json, write_bytes, write_json
 
 LIST: Final = "clips.json"
 """Name of the document that lists the clips of a folder; it is written last."""
+KEEP_BYTES: Final = 2 << 30
+"""Bytes of clips that a training keeps: as many as those of the study fit, larger sets are read again."""
 _SUFFIX: Final = ".npz"
 _BOXES: Final = "boxes_"
 _NEEDED: Final = (

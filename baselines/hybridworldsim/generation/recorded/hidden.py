@@ -1,4 +1,4 @@
-"""Where a static model could not see the street: the share of training images in which a road user hides a place."""
+"""Shares of training images in which a road user hides a place of the street: there a static model learned little."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 import torch
 
-from hybridworldsim.generation.clips.kept import KeptItems
 from hybridworldsim.generation.recorded.road_users import masked_pixels
 from hybridworldsim.generation.recorded.windows import MASK_KINDS
 from hybridworldsim.generation.scenes.rig import SceneRig
+from hybridworldsim.kept_items import KeptItems
 from mirror.arrays import AnyArray, Bool, Float64, Int64, UInt8
 from mirror.dataset.frames import FrameSequence
 from mirror.geometry.cameras import Camera
@@ -95,7 +95,7 @@ class HiddenShares:
         return np.round(shares * 255.0).astype(np.uint8)[rows][:, columns]
 
     def of_points(self, points_m: Float64, place_m: Float64) -> Float64:
-        """Return the share (N,) of images looking at points that show a road user there; 0 where no image looks.
+        """Return the share (N,) of the images that see a point in which a road user hides it; 0 where none sees it.
 
         Args:
             points_m: (N, 3) points in the world.

@@ -14,8 +14,7 @@ from hybridworldsim.generation.autoencoder.codec import LatentCodec, to_tensor
 from hybridworldsim.generation.clips.captions import Captions
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions, stack_conditions
-from hybridworldsim.generation.clips.folder import ClipHeader, headers_of
-from hybridworldsim.generation.clips.kept import KEEP_BYTES, KeptItems
+from hybridworldsim.generation.clips.folder import KEEP_BYTES, ClipHeader, headers_of
 from hybridworldsim.generation.clips.weights import pixel_weights
 from hybridworldsim.generation.inference.windows import join_conditions
 from hybridworldsim.generation.layout.boxes import BoxStyle
@@ -23,6 +22,7 @@ from hybridworldsim.generation.layout.images import draw_clip_layout, takes_map
 from hybridworldsim.generation.layout.map_lines import MAP_CHANNELS
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TransformerConfig
+from hybridworldsim.kept_items import KeptItems
 from mirror.arrays import UInt8
 from mirror.errors import DatasetError, UsageError
 

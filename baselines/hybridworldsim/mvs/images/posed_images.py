@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Final
@@ -10,6 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
+from hybridworldsim.kept_items import KeptItems
 from hybridworldsim.mvs.estimator import StereoImage
 from hybridworldsim.stationary import STATIONARY_M, select_moving
 from mirror.arrays import Bool
@@ -103,7 +103,7 @@ class StereoImageCache:
 
     def __init__(self, images: Sequence[PosedImage], pixels: Pixels) -> None:
         self._images, self._pixels = images, pixels
-        self._cache: OrderedDict[int, StereoImage] = OrderedDict()
+        self._cache: KeptItems[int, StereoImage] = KeptItems(_MAX_CACHED)
 
     def __getitem__(self, index: int) -> StereoImage:
         """Decode one image.
@@ -111,12 +111,7 @@ class StereoImageCache:
         Raises:
             DatasetError: the image, or one of its masks, is missing or broken.
         """
-        if index not in self._cache:
-            self._cache[index] = self._decode(self._images[index])
-            if len(self._cache) > _MAX_CACHED:
-                self._cache.popitem(last=False)
-        self._cache.move_to_end(index)
-        return self._cache[index]
+        return self._cache.get(index, lambda: self._decode(self._images[index]), lambda image: 1)
 
     def _decode(self, posed: PosedImage) -> StereoImage:
         rgb = cached_raster(posed.image.camera_model, self._pixels).to_final(posed.image.decode())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -11,6 +10,7 @@ import cv2
 import numpy as np
 import pyarrow as pa
 
+from hybridworldsim.kept_items import KeptItems
 from hybridworldsim.mvs.estimator import DepthEstimator
 from hybridworldsim.mvs.fusion import ConfirmedDepth, PointCloud, PosedDepth, VoxelThinner, confirm, make_point_cloud
 from hybridworldsim.mvs.ground import FittedGround, compute_wheel_contacts, fit_ground, read_driven_poses
@@ -79,7 +79,7 @@ class SceneInitialisation:
         self._images = list_posed_images(view, options.pixels, withheld, options.standing_m)
         self._stereo_images = StereoImageCache(self._images, options.pixels)
         self._sources = choose_sources(self._images, max(options.sources, options.held_against))
-        self._depth_cache: OrderedDict[int, Float32] = OrderedDict()
+        self._depth_cache: KeptItems[int, Float32] = KeptItems(_MAX_CACHED_MAPS)
         self._hashes = ContentHashes(view.store)
         rigs = view.table("traversals", ["rig_id"]).column(0).to_pylist()
         self._rigs = [self._hashes.rig(rig_id) for rig_id in rigs]
@@ -222,16 +222,14 @@ class SceneInitialisation:
         Raises:
             DatasetError: the file cannot be decoded.
         """
-        if number not in self._depth_cache:
-            file = self._raw_file(number)
-            depth = decode_depth(file.read_bytes())
-            if depth is None:
-                raise DatasetError("the depth map cannot be decoded", file=file, remedy="delete it and run again")
-            self._depth_cache[number] = depth
-            if len(self._depth_cache) > _MAX_CACHED_MAPS:
-                self._depth_cache.popitem(last=False)
-        self._depth_cache.move_to_end(number)
-        return self._depth_cache[number]
+        return self._depth_cache.get(number, lambda: self._decode_depth(number), lambda depth: 1)
+
+    def _decode_depth(self, number: int) -> Float32:
+        file = self._raw_file(number)
+        depth = decode_depth(file.read_bytes())
+        if depth is None:
+            raise DatasetError("the depth map cannot be decoded", file=file, remedy="delete it and run again")
+        return depth
 
     def _raw_file(self, number: int) -> Path:
         """The file of an image's depth before fusion; it is named by the content of the images that it comes from."""

@@ -80,7 +80,7 @@ class Arguments:
     threads: Annotated[int | None, help_text(default="one per processor")] = None
     """Number of threads."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
-    """Where the method trains. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
+    """Device that trains. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
     fp16: bool = False
     """Write the model in half precision (16-bit floats)."""
     json: bool = False

@@ -70,7 +70,7 @@ class Arguments:
     hz: Annotated[float | None, help_text(default=f"{_HZ:g}")] = None
     """Images per second of a trajectory."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
-    """Where the model renders. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
+    """Device that renders. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 

@@ -58,7 +58,7 @@ class Arguments:
     method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
     """The file of MODEL's method, if that is not installed: that of the training."""
     device: Annotated[str | None, help_text(default="auto", metavar="auto|cpu|cuda[:N]")] = None
-    """Where MODEL renders. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
+    """Device that renders MODEL. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
     host: str = "127.0.0.1"
     """Address of the server for MODEL; 0.0.0.0 lets other machines connect."""
     port: int = 8080

@@ -84,11 +84,13 @@ class StaticMethod:
         require_own(out, document)
         if task.threads is not None:
             torch.set_num_threads(task.threads)
+        stated = self._stated(task)
         for run in sorted(out.glob(f"*/{RUN}")):
-            RunFolder(run.parent, TrainingOutcome).require_same(Run, self._stated(task))
+            RunFolder(run.parent, TrainingOutcome).require_same(Run, stated)
         if self.sizes is not None:
-            reporter.message(describe_costs(self.sizes(settings), task))
-            require_memory(task.device, estimate_task_bytes(self.sizes(settings), task), STREET_REMEDY)
+            sizes = self.sizes(settings)
+            reporter.message(describe_costs(sizes, task))
+            require_memory(task.device, estimate_task_bytes(sizes, task), STREET_REMEDY)
         scene = prepare_scene(dataset, task, self.block_m, reporter)
         if not (out / DOCUMENT).exists():
             write_json(out / DOCUMENT, document)

@@ -34,7 +34,7 @@ class Arguments:
     weights: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
     """Weights of a learned method."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
-    """Where a learned method computes. auto: a GPU that torch can use, else the CPU. The first line says which."""
+    """Device that runs a learned method. auto: a GPU that torch can use, else the CPU. The first line says which."""
     version: Annotated[str | None, help_text(default="the name of the split")] = None
     """Version of the layers."""
     options: tyro.conf.OmitArgPrefixes[InitialisationOptions] = field(default_factory=InitialisationOptions)

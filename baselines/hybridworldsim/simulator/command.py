@@ -58,7 +58,7 @@ class Arguments:
         Literal["boxes", "exact", "reconstructed", "generated"] | None,
         help_text(default="that of the generator or the model, exact for a synthetic street, else boxes"),
     ] = None
-    """What renders the images: wireframes, the synthetic street, a trained model, or one with generated road users."""
+    """Renderer of the images: wireframes, the synthetic street, a trained model, or one with generated road users."""
     generator: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
     """Generator of road users, which `mirror generate train` wrote, over the street of MODEL. The drive runs at the
     rate of its training."""
@@ -70,11 +70,11 @@ class Arguments:
     """Use generated pixels only in the hulls of boxes, grown by this many pixels; elsewhere the street stays. none: use
     them everywhere."""
     fallback: Annotated[Literal["reconstructed"] | None, help_text(default="refuse such a scenario")] = None
-    """What shows views with agents of a class that the generator does not know."""
+    """Renderer of views with agents of a class that the generator does not know."""
     method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
     """The file of MODEL's method, if that is not installed: that of the training."""
     device: Annotated[str | None, help_text(default="auto", metavar="auto|cpu|cuda[:N]")] = None
-    """Where MODEL renders and the generator runs. auto: a GPU that torch and gsplat can use, else the CPU. The first
+    """Device of MODEL and the generator. auto: a GPU that torch and gsplat can use, else the CPU. The first
     line says which."""
     scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
     """Scene of the dataset."""

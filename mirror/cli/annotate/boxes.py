@@ -50,7 +50,7 @@ class Arguments:
     skip_failed: bool = False
     """Write the layer of a traversal although frames failed; they have no boxes then."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
-    """Where networks run. auto: a GPU that torch can use, else the CPU. The first line says which."""
+    """Device that runs networks. auto: a GPU that torch can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 

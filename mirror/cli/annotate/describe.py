@@ -39,7 +39,7 @@ class DescribeArguments:
     scene: Annotated[str | None, help_text(default="all", metavar="ID")] = None
     """Describe this scene only."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
-    """Where networks run. auto: a GPU that torch can use, else the CPU. The first line says which."""
+    """Device that runs networks. auto: a GPU that torch can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 

@@ -62,7 +62,7 @@ class Distil:
     threads: int = 1
     """Number of threads."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
-    """Where the student is trained. auto: a GPU that torch can use, else the CPU. The first line says which."""
+    """Device that trains the student. auto: a GPU that torch can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 

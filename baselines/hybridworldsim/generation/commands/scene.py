@@ -99,8 +99,8 @@ class SceneArguments:
     threads: int = 1
     """Number of threads. Results repeat bit for bit at the same number."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
-    """Where the generator runs. auto: a GPU that torch can use, else the CPU. The first line says which. Backgrounds
-    are rendered on the CPU."""
+    """Device that runs the generator. auto: a GPU that torch can use, else the CPU. The first line says which.
+    Backgrounds are rendered on the CPU."""
     json: bool = False
     """Print JSON."""
 

@@ -78,7 +78,7 @@ class Train:
     threads: int = 1
     """Number of threads."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
-    """Where the generator is trained. auto: a GPU that torch can use, else the CPU. The first line says which."""
+    """Device that trains the generator. auto: a GPU that torch can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 

@@ -68,20 +68,33 @@ class ClipCounts(Document):
         return sum(self.errors.values(), BackgroundError())
 
 
-class TraversalClips(Document):
-    """``traversals/<id>.json``: the clips of a finished traversal.
+class WindowCounts(Document):
+    """Counts of the windows of frames that were considered for clips.
+
+    Attributes:
+        candidates: windows of consecutive frames.
+        standing: those in which the vehicle moves too little.
+        lacking: those that lack too many images or masks.
+        quiet: those in which too few frames show a road user.
+        unknown_boxes: boxes of categories that the generator does not know, in the frames of the clips, by category.
+    """
+
+    candidates: int
+    standing: int
+    lacking: int
+    quiet: int
+    unknown_boxes: dict[str, int]
+
+
+class TraversalClips(WindowCounts):
+    """``traversals/<id>.json``: the clips of a finished traversal, and the counts of its windows.
 
     Attributes:
         format: always ``mirror-traversal-clips``.
         version: version of this document.
         traversal: the traversal.
         rate_hz: frames per second.
-        candidates: windows of consecutive frames.
-        standing: those in which the vehicle moves too little.
-        lacking: those that lack too many images or masks.
-        quiet: those in which too few frames show a road user.
         clips: ids of the clips.
-        unknown_boxes: boxes of categories that the generator does not know, in the frames of the clips, by category.
         counts: counts of the clips.
     """
 
@@ -89,27 +102,17 @@ class TraversalClips(Document):
     version: Literal["1"] = "1"
     traversal: str
     rate_hz: float
-    candidates: int
-    standing: int
-    lacking: int
-    quiet: int
     clips: tuple[str, ...]
-    unknown_boxes: dict[str, int]
     counts: ClipCounts
 
 
-class ClipStatistics(Document):
-    """``statistics.json``: statistics of the clips of a folder, and their sources.
+class ClipStatistics(WindowCounts):
+    """``statistics.json``: statistics of the clips of a folder, the counts of all windows, and their sources.
 
     Attributes:
         format: always ``mirror-clip-statistics``.
         version: version of this document.
         traversals: number of traversals that gave clips.
-        candidates: as in `TraversalClips`, of all traversals; so are the next four.
-        standing: see there.
-        lacking: see there.
-        quiet: see there.
-        unknown_boxes: see there.
         counts: counts of all clips.
         weights: the rule by which training weighs pixels.
         inputs: everything that determines the clips.
@@ -118,11 +121,6 @@ class ClipStatistics(Document):
     format: Literal["mirror-clip-statistics"] = "mirror-clip-statistics"
     version: Literal["1"] = "1"
     traversals: int
-    candidates: int
-    standing: int
-    lacking: int
-    quiet: int
-    unknown_boxes: dict[str, int]
     counts: ClipCounts
     weights: str
     inputs: dict[str, Any]

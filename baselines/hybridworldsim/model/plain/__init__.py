@@ -1,1 +1,1 @@
-"""What is compiled for the CPU, in plain torch: it runs on any device, and is the reference of the kernels' tests."""
+"""Plain torch forms of the computations that are compiled for the CPU: for any device, and for tests of the kernels."""

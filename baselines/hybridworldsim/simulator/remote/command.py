@@ -39,11 +39,11 @@ class Arguments:
         Literal["boxes", "exact", "reconstructed"] | None,
         help_text(default="reconstructed for a model, exact for a synthetic street, else boxes"),
     ] = None
-    """What renders the images: wireframes, the synthetic street, a trained model."""
+    """Renderer of the images: wireframes, the synthetic street, a trained model."""
     method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
     """The file of MODEL's method, if that is not installed: that of the training."""
     device: Annotated[str | None, help_text(default="auto", metavar="auto|cpu|cuda[:N]")] = None
-    """Where MODEL renders. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
+    """Device that renders MODEL. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
     scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
     """Scene of the dataset."""
     host: str = "127.0.0.1"

@@ -79,7 +79,7 @@ def require_same_run(path: Path, kind: type[Document], stated: Mapping[str, Any]
     if differing:
         elsewhere = "name another folder with --out"
         threads = "" if finished or before["threads"] == stated["threads"] else f"--threads {before['threads']}"
-        device = "" if begun == now else f"{OPTION} {begun}"
+        device = "" if finished or begun == now else f"{OPTION} {begun}"
         options = " ".join(filter(None, (threads, device)))
         raise UsageError(
             f"a run of other settings began here: {'; '.join(differing[:4])}", file=path,

@@ -50,6 +50,7 @@ ONLY_FROM_PYTHON: Final = {
 RAISED_BY: Final = {
     "mirror/addresses.py": ("view", "serve"),
     "mirror/command_line.py": ("annotate", "reconstruct"),
+    "mirror/cli/compile.py": ("compile",),
     "mirror/cli/ingest.py": ("ingest", "rois propose"),
     "mirror/cli/layers.py": ("view", "reconstruct", "export colmap"),
     "mirror/cli/recording.py": ("recording new",),

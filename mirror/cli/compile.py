@@ -60,7 +60,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror compile", examples=_EXAMPLES)
     if arguments.workers < 1:
-        raise UsageError(f"--workers {arguments.workers}: expected at least one process")
+        raise UsageError(f"{arguments.workers} processes", place="--workers", expected="at least one process")
     cache = None if arguments.cache is None else _writable(arguments.cache)
 
     from mirror.pools import thread_pool
@@ -93,8 +93,9 @@ def _writable(cache: Path) -> Path:
             return cache.resolve()
     except OSError as error:
         raise UsageError(
-            f"--cache {cache}: {error.strerror}; expected a folder that can be written: choose another --cache"
-        ) from error
+            error.strerror or str(error), file=cache, place="--cache", expected="a folder that can be written",
+            remedy="choose another folder with --cache",
+        ) from error  # fmt: skip
 
 
 def _chains(folder: Path) -> Iterator[list[list[str]]]:

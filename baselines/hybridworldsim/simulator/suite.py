@@ -28,7 +28,7 @@ from mirror.schema.rollout import ROLLOUT, read_rollout
 
 SUITE_FILE: Final = "suite.json"
 _ROUNDS: Final = 3
-"""How often a drive is begun if the machine fails each time."""
+"""Number of times that a drive is begun if the machine fails each time."""
 _PREFLIGHT_S: Final = 1.0
 
 

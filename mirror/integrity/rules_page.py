@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import groupby
-from pathlib import Path
 
 from mirror.integrity.finding import Cost
 from mirror.integrity.registry import rules
 from mirror.integrity.rule import GROUPS, Rule
-from mirror.schema.files import write_bytes
+from mirror.schema.page_file import write_page
 
 _COSTS = {
     Cost.TABLES: "documents and tables (`--quick` stops here)",
@@ -53,6 +51,4 @@ def _group(own: list[Rule]) -> list[str]:
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/rules.md")
-    write_bytes(target, rules_page().encode())
-    print(target)
+    write_page("docs/rules.md", __doc__, lambda _: rules_page())

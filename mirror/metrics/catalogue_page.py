@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import sys
 from itertools import groupby
-from pathlib import Path
 from typing import Final
 
 from mirror.metrics.catalogue import MEASURES, PARTS, Kind, Measure
-from mirror.schema.files import write_bytes
+from mirror.schema.page_file import write_page
 
 BEGIN: Final = "<!-- metrics: written by `python -m mirror.metrics.catalogue_page docs/metrics.md`; do not edit -->"
 END: Final = "<!-- end of metrics -->"
@@ -60,6 +58,4 @@ def _format_row(measure: Measure) -> str:
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/metrics.md")
-    write_bytes(target, fill_page(target.read_text()).encode())
-    print(target)
+    write_page("docs/metrics.md", __doc__, lambda file: fill_page(file.read_text()))

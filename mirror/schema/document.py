@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import pyarrow as pa
 from pydantic import BaseModel
 
 from mirror.schema import behaviours, documents, rollout, scenario
-from mirror.schema.files import write_bytes
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
+from mirror.schema.page_file import write_page
 from mirror.schema.road_map import RoadMapHeader
 from mirror.schema.rollout_tables import ROLLOUT
 from mirror.schema.tables import LAYERS, PASSES, RECORDED, Table
@@ -151,6 +149,4 @@ def _parse_attributes(lines: Iterable[str]) -> list[tuple[str, str]]:
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/schema.md")
-    write_bytes(target, schema_page().encode())
-    print(target)
+    write_page("docs/schema.md", __doc__, lambda _: schema_page())

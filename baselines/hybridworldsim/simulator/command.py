@@ -92,7 +92,7 @@ class Arguments:
     video: bool = True
     """Write a video of the cameras with a bird's-eye view beside them."""
     report: bool = False
-    """Write report.html: the video and the figures of the safety."""
+    """Write report.html: the video, curves over its time, events, and the figures of the safety."""
     duration: Annotated[float | None, help_text(default="that of the scenario", metavar="SECONDS")] = None
     """Duration of the drive."""
     seed: Annotated[int | None, help_text(default="that of the scenario")] = None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -13,7 +11,7 @@ from mirror.counting import count_of
 from mirror.errors import DatasetError
 from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.images.bootstrap import CONFIDENCE
-from mirror.pages.rendering import read_script, render_page, style_sheet
+from mirror.pages.rendering import content_policy, read_script, render_page
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
@@ -64,16 +62,12 @@ def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Pat
 
 def _format_page(boards: Sequence[Board], entries: Sequence[Entry], *, draft: bool) -> str:
     script = read_script("mirror_leaderboard.site", "site.js")
-    policy = (
-        f"default-src 'none'; img-src 'self' file:; style-src '{_source_hash(style_sheet())}'; "
-        f"script-src '{_source_hash(script)}'; base-uri 'none'; form-action 'none'"
-    )
     measured = sum(isinstance(entry, Measured) for entry in entries)
     return render_page(
         "mirror_leaderboard.site",
         "board.html",
         title=_TITLE,
-        policy=policy,
+        policy=content_policy(script, images="'self' file:"),
         script=script,
         counts=f"{len(entries)} entries, {measured} of them measured, in {len(boards)} tables.",
         draft=draft,
@@ -148,10 +142,6 @@ def _copy_images(names: Iterable[str], sources: Sequence[Path], out: Path) -> No
         if file is None:
             raise DatasetError("missing", file=name, expected=f"in {' or '.join(map(str, sources)) or 'some folder'}")
         write_bytes(out / name, file.read_bytes())
-
-
-def _source_hash(text: str) -> str:
-    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
 def build(boards: Sequence[Path], out: Path, *, unsigned: bool = False) -> Path:

@@ -17,9 +17,10 @@ from hybridworldsim.simulator.policies.protocol import CameraSpec, Policy
 from hybridworldsim.simulator.renderers.protocol import Renderer
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, write_actions
+from hybridworldsim.simulator.rollout.curves import list_curves
 from hybridworldsim.simulator.rollout.deadline import PolicyError, PolicyRunner
 from hybridworldsim.simulator.rollout.mosaic import bird_eye, mosaic
-from hybridworldsim.simulator.rollout.page import PAGE_FILE, write_page
+from hybridworldsim.simulator.rollout.page import PAGE_FILE, DriveContent, write_page
 from hybridworldsim.simulator.simulation import Simulation, start_simulation
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import EGO, Snapshot, wrap_angles
@@ -66,7 +67,7 @@ class RolloutRequest:
         deadline_s: time for an action of the policy.
         dataset_hash: hash of the dataset that was driven in.
         model_hash: hash of the model that renders.
-        page: write a page with the video and the figures of the safety.
+        page: write a page with the video, curves over its time and the figures of the safety.
         scenario_file: file of the scenario, which errors name; None: it is of no file.
     """
 
@@ -166,13 +167,21 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
                 pass
     write_actions(out / ACTIONS_FILE, drive.actions)
     route = simulation.route.way.points
-    safety = score_rollout(simulation.recorder.log(), request.street.road_map, route)
+    states = simulation.recorder.log()
+    safety = score_rollout(states, request.street.road_map, route)
     if request.page:
-        video = out / VIDEO_FILE if request.video else None
-        start_ns = simulation.recorder.snapshots[0].stamp_ns
-        lines = [*describe_safety(safety), describe_map(request.street.map_source)]
-        names = request.policy_name, request.factory.name
-        write_page(out / PAGE_FILE, request.scenario, *names, lines, safety, start_ns, video)
+        egos = [shot.ego for shot in simulation.recorder.snapshots]
+        content = DriveContent(
+            request.scenario,
+            request.policy_name,
+            request.factory.name,
+            [*describe_safety(safety), describe_map(request.street.map_source)],
+            safety,
+            states.stamps_ns.tolist(),
+            list_curves(states, egos, request.street.road_map),
+            out / VIDEO_FILE if request.video else None,
+        )
+        write_page(out / PAGE_FILE, content)
     rollout = _document(request, simulation, drive, out)
     write_json(out / ROLLOUT, rollout)
     (out / _DRIVING).unlink()

@@ -1,62 +1,144 @@
-"""The pytest plug-in of runs with mutants: records tests, or runs the likeliest first and ends those that hang.
+"""The pytest plug-in of runs with mutants: records tests, or runs those of a plan and ends those that hang.
 
 The environment variable MIRROR_MUTANTS names a JSON file: ``{"record": file}`` or ``{"order": [test], "limit_s": {test:
-seconds}}``.
+processor time}}``.
 """
 
 from __future__ import annotations
 
 import faulthandler
 import json
+import math
+import multiprocessing.process
 import os
+import resource
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
 from typing import Any, Final
 
 import pytest
 
+from benchmarks.mutants.recorder import start_recording
+
 _PLAN: Final[dict[str, Any]] = json.loads(Path(os.environ["MIRROR_MUTANTS"]).read_bytes())
-_HERE: Final = f"{Path.cwd()}/"
-_NEW_TEST_S: Final = 120.0
+_PACKAGES: Final = ("mirror", "hybridworldsim", "mirror_baselines")
+# A test that waits, and does not compute, ends after this multiple of its processor time.
+_WAITS: Final = 20
+_STARTS: Final = ("subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn", "os.exec", "os.system")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the likeliest tests first."""
-    rank = {test: index for index, test in enumerate(_PLAN.get("order", ()))}
-    items.sort(key=lambda item: rank.get(item.nodeid, len(rank)))
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the part that records, or the part that follows a plan."""
+    config.pluginmanager.register(_RECORDER or _Follower())
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Record a test, or end the run if the test takes too long."""
-    return (yield from _run_recorded(item) if "record" in _PLAN else _run_limited(item))
+class _Follower:
+    """Runs the tests of the plan, and no others, in its order."""
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        rank = {test: index for index, test in enumerate(_PLAN["order"])}
+        items[:] = sorted((item for item in items if item.nodeid in rank), key=lambda item: rank[item.nodeid])
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        limit_s = _PLAN["limit_s"][item.nodeid]
+        # The kernel ends a process that has used more, also within compiled code.
+        soft = math.ceil(time.process_time() + limit_s)
+        resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.getrlimit(resource.RLIMIT_CPU)[1]))
+        faulthandler.dump_traceback_later(_WAITS * limit_s, exit=True)
+        try:
+            return (yield)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
 
 
-def _run_limited(item: pytest.Item) -> Iterator[None]:
-    # Runs in its own thread, which compiled code does not block.
-    faulthandler.dump_traceback_later(_PLAN["limit_s"].get(item.nodeid, _NEW_TEST_S), exit=True)
-    try:
-        return (yield)
-    finally:
-        faulthandler.cancel_dump_traceback_later()
+class _Recorder:
+    """Records a test's processor time, the functions it calls, whether it starts processes, and whether it fails.
+
+    What a fixture of a module or of the session calls counts for every test that uses it.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._called: set[str] = set()
+        self._forget = start_recording(Path.cwd(), _PACKAGES, self._called)
+        self._imports: list[str] | None = None
+        self._fixture_calls: dict[str, set[str]] = defaultdict(set)
+        self._fixture_s: dict[str, float] = defaultdict(float)
+        self._starts = False
+        self._fixture_starts: set[str] = set()
+        self._failed: set[str] = set()
+        self._path: Path | None = None
+        sys.addaudithook(self._note_event)
+        start = multiprocessing.process.BaseProcess.start
+
+        def noted(process: multiprocessing.process.BaseProcess) -> None:
+            self._starts = True
+            start(process)
+
+        multiprocessing.process.BaseProcess.start = noted  # type: ignore[method-assign]
+
+    def _note_event(self, event: str, _: object) -> None:
+        self._starts = self._starts or event in _STARTS
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[Any]) -> Iterator[None]:
+        if fixturedef.scope == "function":
+            return (yield)
+        before, begin, others = set(self._called), _cpu_s(), sum(self._fixture_s.values())
+        self._called.clear()
+        started, self._starts = self._starts, False
+        try:
+            return (yield)
+        finally:
+            name = fixturedef.argname
+            self._fixture_calls[name] |= self._called
+            # Fixtures that this one asks for while it runs have noted their own time.
+            self._fixture_s[name] += _cpu_s() - begin - (sum(self._fixture_s.values()) - others)
+            self._called |= before
+            if self._starts:
+                self._fixture_starts.add(name)
+            self._starts |= started
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            self._failed.add(report.nodeid)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        if self._imports is None:
+            self._imports = sorted(self._called)
+        if item.path != self._path:
+            self._forget()
+            self._path = item.path
+        self._called.clear()
+        self._starts = False
+        begin, fixtures = _cpu_s(), sum(self._fixture_s.values())
+        try:
+            return (yield)
+        finally:
+            used = [name for name in getattr(item, "fixturenames", ()) if name in self._fixture_s]
+            calls = self._called.union(*(self._fixture_calls[name] for name in used))
+            one = {
+                "test": item.nodeid,
+                "s": round(_cpu_s() - begin - (sum(self._fixture_s.values()) - fixtures), 3),
+                "fixtures": {name: round(self._fixture_s[name], 3) for name in used},
+                "starts": self._starts or not self._fixture_starts.isdisjoint(used),
+                "failed": item.nodeid in self._failed,
+                "calls": sorted(calls),
+            }
+            one["imports"], self._imports = self._imports, []
+            with self._file.open("a") as out:
+                out.write(json.dumps(one) + "\n")
 
 
-def _run_recorded(item: pytest.Item) -> Iterator[None]:
-    called: set[tuple[str, int]] = set()
+def _cpu_s() -> float:
+    """Return the processor time of this process and of those that it started and waited for."""
+    return sum(os.times()[:4])
 
-    def record_call(frame: FrameType, event: str, argument: object) -> None:
-        if event == "call":
-            called.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
 
-    begin = time.perf_counter()
-    sys.setprofile(record_call)
-    try:
-        return (yield)
-    finally:
-        sys.setprofile(None)
-        calls = sorted(f"{file.removeprefix(_HERE)}:{line}" for file, line in called if file.startswith(_HERE))
-        with Path(_PLAN["record"]).open("a") as out:
-            out.write(json.dumps({"test": item.nodeid, "s": time.perf_counter() - begin, "calls": calls}) + "\n")
+# Modules that are imported before the first test, by a `conftest.py`, are recorded too.
+_RECORDER: Final = _Recorder(Path(_PLAN["record"])) if "record" in _PLAN else None

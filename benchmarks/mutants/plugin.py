@@ -79,7 +79,7 @@ class _Recorder:
             self._starts = True
             start(process)
 
-        multiprocessing.process.BaseProcess.start = noted  # type: ignore[method-assign]
+        setattr(multiprocessing.process.BaseProcess, "start", noted)  # noqa: B010 - mypy refuses the assignment
 
     def _note_event(self, event: str, _: object) -> None:
         self._starts = self._starts or event in _STARTS

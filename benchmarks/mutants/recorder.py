@@ -43,7 +43,7 @@ def start_recording(tree: Path, packages: tuple[str, ...], called: set[str]) -> 
             caches.append(cache)
         return cache
 
-    functools.lru_cache = lru_cache  # type: ignore[assignment]
+    functools.lru_cache = lru_cache
     sys.meta_path.insert(0, _Finder(tree, packages))
 
     def forget() -> None:

@@ -1,9 +1,26 @@
-"""Which tokens are changed, their replacements, and the names of mutants."""
+"""Which tokens are changed, their replacements and names; which tests run against a change, in which tree."""
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
 from benchmarks.mutants.benchmark import ROOT, find, read_reasons, reason_name
 from benchmarks.mutants.mutations import compiles, mutants
+from benchmarks.mutants.selection import (
+    RecordedTest,
+    count_imports,
+    find_importers,
+    may_change_kernels,
+    select_tests,
+    take_first,
+)
+from benchmarks.mutants.trees import link_tree, read_stamps, replace_file
 
 SOURCE = '''
 @cached(size=7)
@@ -65,3 +82,213 @@ def test_every_reason_is_that_of_a_mutant_of_the_present_source() -> None:
     for reason in read_reasons():
         file = reason["file"]
         assert reason_name(reason) in {mutant.name for mutant in mutants(file, (ROOT / file).read_text())}, file
+
+
+def recorded(name: str, *calls: str, s: float = 1.0, starts: bool = False, **fixtures: float) -> RecordedTest:
+    return RecordedTest(name, s, fixtures, starts, frozenset(calls))
+
+
+TESTS = [
+    recorded("tests/test_far.py::test_verb", starts=True),
+    recorded("tests/test_user.py::test_user", "mirror/user.py:1"),
+    recorded("tests/test_own.py::test_other", "mirror/own.py:20"),
+    recorded("tests/test_own.py::test_slow", "mirror/own.py:10", s=9.0),
+    recorded("tests/test_own.py::test_quick", "mirror/own.py:10"),
+    recorded("tests/test_none.py::test_none", "mirror/none.py:1"),
+]
+DISTANCES = {"mirror/own.py": 0, "mirror/user.py": 1}
+
+
+def select(function: int, *, compiled: bool = False, at_import: tuple[str, ...] = ()) -> list[str]:
+    tests = select_tests(TESTS, "mirror/own.py", function, DISTANCES, compiled=compiled, at_import=at_import)
+    return [test.name.partition("::")[2] for test in tests]
+
+
+def test_the_files_of_tests_that_call_a_function_run_and_the_likeliest_tests_first() -> None:
+    assert select(10) == ["test_quick", "test_slow", "test_other", "test_verb"]
+
+
+def test_a_line_outside_of_functions_or_a_function_that_no_test_calls_is_tested_by_importers() -> None:
+    assert select(0) == select(30) == ["test_other", "test_quick", "test_slow", "test_user", "test_verb"]
+    # What a function returns while modules are imported, other tests see too.
+    assert select(10, at_import=("mirror/own.py:10",)) == [
+        "test_quick",
+        "test_slow",
+        "test_other",
+        "test_user",
+        "test_verb",
+    ]
+
+
+def test_importers_of_a_file_that_may_be_compiled_run_after_the_callers() -> None:
+    assert select(10, compiled=True) == ["test_quick", "test_slow", "test_other", "test_user", "test_verb"]
+
+
+def test_the_first_tests_fit_the_budget_and_a_fixture_counts_once() -> None:
+    tests = [recorded("a", street=5.0), recorded("b", s=20.0), recorded("c", street=5.0), recorded("d", s=3.0)]
+    assert [test.name for test in take_first(tests, 7.0)] == ["a", "c"]
+    assert [test.name for test in take_first(tests, 0.1)] == ["a"]
+
+
+def test_importers_are_direct_and_indirect_named_in_strings_or_through_a_package() -> None:
+    texts = {
+        "mirror/low.py": "",
+        "mirror/room/__init__.py": "from mirror.low import (\n    one,\n    two,\n)",
+        "mirror/room/inner.py": "from mirror import other, low",
+        "mirror/table.py": 'READERS = {"low": "mirror.low:Reader"}',
+        "baselines/hybridworldsim/user.py": "def late():\n    from mirror.room import one",
+        "tests/test_user.py": "import hybridworldsim.user",
+        "mirror/other.py": "import numpy",
+    }
+    found = count_imports("mirror/low.py", find_importers(texts))
+    assert found == {
+        "mirror/low.py": 0,
+        "mirror/room/__init__.py": 1,
+        "mirror/room/inner.py": 1,
+        "mirror/table.py": 1,
+        "baselines/hybridworldsim/user.py": 2,
+        "tests/test_user.py": 3,
+    }
+
+
+def test_kernels_stay_where_a_change_cannot_reach_compiled_code() -> None:
+    assert may_change_kernels("from mirror.compiled import inner_njit", 3, at_import=False)
+    assert may_change_kernels("SIZE = 3", 0, at_import=False)
+    assert may_change_kernels("def size(): return 3", 1, at_import=True)
+    assert not may_change_kernels("def size(): return 3", 1, at_import=False)
+
+
+def test_a_changed_file_leaves_the_file_that_it_was_linked_to_as_it_is(tmp_path: Path) -> None:
+    clean, work = tmp_path / "clean", tmp_path / "work"
+    (clean / "mirror" / "__pycache__").mkdir(parents=True)
+    (clean / "mirror" / "a.py").write_text("A = 1\n")
+    (clean / "mirror" / "b.py").write_text("B = 1\n")
+    (clean / "mirror" / "__pycache__" / "a.cpython-311.pyc").write_bytes(b"old")
+    stamps = read_stamps(clean)
+    link_tree(clean, work)
+    replace_file(work / "mirror" / "a.py", "A = 2\n")
+    assert (clean / "mirror" / "a.py").read_text() == "A = 1\n"
+    assert (work / "mirror" / "a.py").read_text() == "A = 2\n"
+    assert not list((work / "mirror").glob("__pycache__/a.*"))
+    assert (work / "mirror" / "b.py").samefile(clean / "mirror" / "b.py")
+    assert read_stamps(clean) == stamps
+    # A test that writes into a file of the tree is found out, also if it does so without a change of the size.
+    (work / "mirror" / "b.py").write_text("B = 2\n")
+    assert {name for name, stamp in read_stamps(clean).items() if stamp != stamps[name]} == {"mirror/b.py"}
+
+
+MODULE = '''"""A module."""
+
+import functools
+import subprocess
+import sys
+
+
+def at_import() -> int:
+    return 1
+
+
+ONE = at_import()
+
+
+@functools.cache
+def kept() -> int:
+    """Keep its docstring."""
+    return inner()
+
+
+def inner() -> int:
+    return 2
+
+
+def start() -> int:
+    return subprocess.run([sys.executable, "-c", ""], check=False).returncode
+
+
+def hang(value: int) -> None:
+    while value:
+        pass
+'''
+TEST_FILE = """import pytest
+from mirror import a
+
+
+@pytest.fixture(scope="module")
+def two() -> int:
+    return a.kept()
+
+
+def test_fixture(two: int) -> None:
+    assert two == 2 and a.kept.__doc__ == "Keep its docstring."
+
+
+def test_same_fixture(two: int) -> None:
+    assert two == 2
+
+
+def test_process() -> None:
+    assert a.start() == 0
+
+
+def test_failure() -> None:
+    assert a.ONE == 2
+
+
+def test_hang() -> None:
+    a.hang(0)
+"""
+
+
+def run_plugin(tree: Path, plan: dict[str, Any]) -> int:
+    """Run pytest with the plug-in in a tree, and return its exit code."""
+    (tree / "plan.json").write_text(json.dumps(plan))
+    environment = os.environ | {"PYTHONPATH": f"{tree}:{ROOT}", "MIRROR_MUTANTS": str(tree / "plan.json")}
+    words = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        "-p",
+        "no:hypothesispytest",
+    ]
+    words += ["-p", "benchmarks.mutants.plugin", "--rootdir", str(tree), "tests"]
+    return subprocess.run(words, cwd=tree, env=environment, check=False, capture_output=True).returncode
+
+
+def test_the_plugin_records_calls_and_runs_a_plan_within_its_limits(tmp_path: Path) -> None:
+    for folder in ("mirror", "tests"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "__init__.py").touch()
+    (tmp_path / "mirror" / "a.py").write_text(MODULE)
+    (tmp_path / "tests" / "test_a.py").write_text(TEST_FILE)
+    # Two files, so that what is cached is called again in the second.
+    (tmp_path / "tests" / "test_b.py").write_text(TEST_FILE)
+    out = tmp_path / "recorded.jsonl"
+    assert run_plugin(tmp_path, {"record": str(out)}) == 1
+    lines = {line["test"]: line for line in map(json.loads, out.read_text().splitlines())}
+    kept = ["mirror/a.py:15", "mirror/a.py:21"]
+    for file in ("tests/test_a.py", "tests/test_b.py"):
+        # The second test of a fixture uses what the first one's set up has called.
+        assert lines[f"{file}::test_fixture"]["calls"] == lines[f"{file}::test_same_fixture"]["calls"] == kept
+        assert lines[f"{file}::test_process"]["calls"] == ["mirror/a.py:25"]
+        assert [line["test"] for line in lines.values() if line["starts"] and line["test"].startswith(file)] == [
+            f"{file}::test_process"
+        ]
+    assert {name.partition("::")[2] for name, line in lines.items() if line["failed"]} == {"test_failure"}
+    assert lines["tests/test_a.py::test_fixture"]["imports"] == ["mirror/a.py:8"]
+    # The function's first line is that of its mutants.
+    assert {mutant.function for mutant in mutants("mirror/a.py", MODULE)} <= {0, 8, 15, 21, 25, 29}
+
+    def follow(*names: str) -> int:
+        order = [f"tests/test_a.py::{name}" for name in names]
+        return run_plugin(tmp_path, {"order": order, "limit_s": dict.fromkeys(order, 1.0)})
+
+    assert follow("test_hang", "test_fixture") == 0
+    assert follow("test_failure") == 1
+    assert follow("test_gone") == 5
+    replace_file(tmp_path / "mirror" / "a.py", MODULE.replace("while value", "while not value"))
+    assert follow("test_hang") == -signal.SIGXCPU

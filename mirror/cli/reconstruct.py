@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
     from mirror.methods.plugin import ReconstructionResult
 
-_CORE_MINUTES = 10.0
 _EXAMPLES = (
     "mirror reconstruct demo/block/dataset --split novel --minutes 2 --out model",
     "mirror reconstruct demo/block/dataset --split novel --steps 500 --seed 1 --set depth_weight=0.1 --out model",
@@ -45,11 +44,11 @@ class Arguments:
     """Scene to reconstruct."""
     method: Annotated[str, help_text(metavar="NAME|FILE.py:OBJECT")] = "hybridworldsim"
     """An installed method (entry points mirror.methods), or an object in a Python file."""
-    minutes: Annotated[float | None, help_text(default=f"{_CORE_MINUTES:g}, unless --steps is given")] = None
+    minutes: Annotated[float | None, help_text(default="10 on a CPU, unless --steps is given")] = None
     """Processor time of training per block in minutes, summed over threads. Excludes --steps."""
-    steps: Annotated[int | None, help_text(default="none")] = None
+    steps: Annotated[int | None, help_text(default="30000 on a GPU, unless --minutes is given")] = None
     """Number of training images per block. Repeats exactly with the same --threads. Excludes --minutes."""
-    width: Annotated[int, help_text(metavar="PIXELS")] = 240
+    width: Annotated[int | None, help_text(default="240 on a CPU, 960 on a GPU", metavar="PIXELS")] = None
     """Wider images are scaled down to this width."""
     protocol: Annotated[str, help_text(metavar="NAME")] = "static-reconstruction"
     """Protocol that gives the raster and the masks: a name, or the path of a .toml file."""
@@ -106,6 +105,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.methods.capabilities import find_capabilities
     from mirror.methods.plugin import ReconstructionTask
     from mirror.methods.registry import load_method, method_label
+    from mirror.methods.training_defaults import training_defaults
     from mirror.schema.folders import FolderKind, require_output_folder
 
     require_output_folder(arguments.out, FolderKind.MODEL)
@@ -115,8 +115,12 @@ def main(argv: Sequence[str]) -> int:
         arguments.device, f"method {method_label(arguments.method)}", takes_device=capabilities.takes_device,
         splats=capabilities.rasterizes,
     )  # fmt: skip
+    defaults = training_defaults(device.name)
+    has_budget = arguments.minutes is not None or arguments.steps is not None
     if not arguments.json:
         print(device, flush=True)
+        if used := defaults.describe(width=arguments.width is None, budget=not has_budget):
+            print(f"defaults on this device: {used}", flush=True)
 
     from mirror.cli.layers import with_named_layers
     from mirror.dataset.working_copy import update_working_copy
@@ -133,21 +137,19 @@ def main(argv: Sequence[str]) -> int:
         with naming_option(Path(arguments.dataset), "--layers FOLDER"):
             dataset = open_to_write(arguments.dataset)
     dataset = dataset.with_layers(calibrations=arguments.calibrations)
-    scaled = protocol.model_copy(
-        update={"pixels": protocol.pixels.model_copy(update={"max_width_px": arguments.width})}
-    )
+    width_px = defaults.width_px if arguments.width is None else arguments.width
+    scaled = protocol.model_copy(update={"pixels": protocol.pixels.model_copy(update={"max_width_px": width_px})})
     scene = _scene(dataset, arguments.split, arguments.scene)
     training = dataset.where(scene=scene, split=arguments.split, role="train")
     read = ("boxes",) if "boxes" in protocol.masks.dynamic else ()
     boxes = with_named_layers(training, None, {"boxes": arguments.boxes}, read=read).layers.boxes
     dataset = dataset.with_layers(boxes=boxes)
-    minutes = _CORE_MINUTES if arguments.minutes is None and arguments.steps is None else arguments.minutes
     task = ReconstructionTask(
         scene=scene,
         split=arguments.split,
         protocol=scaled,
-        steps=arguments.steps,
-        core_minutes=minutes,
+        steps=arguments.steps if has_budget else defaults.steps,
+        core_minutes=arguments.minutes if has_budget else defaults.core_minutes,
         seed=arguments.seed,
         initialise=arguments.initialise,
         blocks=frozenset(filter(None, (arguments.blocks or "").split(","))),

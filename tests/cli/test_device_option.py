@@ -9,6 +9,7 @@ import torch
 
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
+from mirror.devices import Device
 from mirror.errors import ExitCode
 from mirror.methods.model import ModelFolder
 from mirror.methods.model_document import DOCUMENT
@@ -25,9 +26,11 @@ PLACED = """
 class Placed(MeanColour):
     capabilities = Capabilities(renders_depth=True, takes_device=True, rasterizes=True)
     devices = []
+    budgets = []
 
     def reconstruct(self, dataset, task, out, progress):
         self.devices.append(task.device)
+        self.budgets.append((task.protocol.pixels.max_width_px, task.steps, task.core_minutes))
         return super().reconstruct(dataset, task, out, progress)
 
     def open(self, model, appearance=None, *, device="cpu"):
@@ -56,7 +59,10 @@ def test_the_first_line_says_which_device_and_why(
         (["evaluate", data, submission, "--out", str(tmp_path / "scores"), "--workers", "1"], "--device cpu"),
     ):
         assert main(words) == ExitCode.DONE
-        assert capsys.readouterr().out.splitlines()[0] == f"device: cpu ({reason})"
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[0] == f"device: cpu ({reason})"
+        if words[0] == "reconstruct":
+            assert lines[1] == "defaults on this device: --width 240 --minutes 10"
     for words in (
         ["reconstruct", data, "--split", "novel", "--out", str(tmp_path / "a"), *method],
         ["render", data, model, "--split", "novel", "--out", str(tmp_path / "a"), *method],
@@ -106,3 +112,28 @@ def test_a_method_that_states_it_gets_the_device(tiny_dataset: Dataset, tmp_path
     model.open()
     assert model.method.devices[-3:] == ["cuda:7", "cuda:7", "cpu"]  # type: ignore[attr-defined]
     assert model.choose_device("cpu").name == "cpu"
+
+
+@pytest.mark.parametrize(
+    ("device", "given", "expected", "line"),
+    [
+        ("cuda:0", [], (960, 30_000, None), "defaults on this device: --width 960 --steps 30000"),
+        ("cuda:0", ["--width", "480"], (480, 30_000, None), "defaults on this device: --steps 30000"),
+        ("cuda:0", ["--minutes", "2"], (960, None, 2.0), "defaults on this device: --width 960"),
+        ("cpu", ["--steps", "7", "--width", "96"], (96, 7, None), None),
+        ("cpu", [], (240, None, 10.0), "defaults on this device: --width 240 --minutes 10"),
+    ],
+)
+def test_defaults_follow_the_device(
+    tiny_dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    device: str, given: list[str], expected: tuple[object, ...], line: str | None,
+) -> None:  # fmt: skip
+    """No GPU computes here: the method takes the device's name, and means are its model."""
+    (tmp_path / "placed.py").write_text((ROOT / "examples" / "method.py").read_text() + PLACED)
+    monkeypatch.setattr("mirror.devices.resolve_device", lambda requested, splats: Device(requested, "chosen"))
+    method = f"{tmp_path / 'placed.py'}:METHOD"
+    words = ["reconstruct", str(tiny_dataset.root), "--split", "novel", "--out", str(tmp_path / "model")]
+    assert main([*words, "--method", method, "--device", device, *given]) == ExitCode.DONE
+    assert ModelFolder.read(tmp_path / "model", method).method.budgets[-1] == expected  # type: ignore[attr-defined]
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"device: {device} (chosen)" and (lines[1] == line) == (line is not None)

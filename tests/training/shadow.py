@@ -85,6 +85,10 @@ class _Images:
     """Gradients of the Gaussians in the image, as gsplat's `means2d` has them."""
 
     absgrad: Tensor | None = None
+    grad: Tensor | None = None
+
+    def retain_grad(self) -> None:
+        """Keep the gradient, which is kept in any case."""
 
 
 class _Rasterize(torch.autograd.Function):
@@ -94,15 +98,21 @@ class _Rasterize(torch.autograd.Function):
         with torch.enable_grad():
             leaves = [one.clone().requires_grad_(one.is_floating_point()) for one in inner]
             images, alphas, found = rasterization(**dict(zip(names, leaves, strict=True)), **options)
+            if found["means2d"].requires_grad:
+                found["means2d"].retain_grad()
         ctx.leaves, ctx.results, ctx.found, ctx.meta = leaves, (images, alphas), found, meta
-        meta["gaussian_ids"], meta["means2d"] = Shadow(found["gaussian_ids"]), _Images()
+        meta |= {name: found[name] for name in ("width", "height", "n_cameras")}
+        meta |= {name: Shadow(found[name].detach()) for name in ("gaussian_ids", "radii")}
+        meta["means2d"] = _Images()
         return Shadow(images.detach()), Shadow(alphas.detach())
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Any:
         torch.autograd.backward(ctx.results, [gradient.inner for gradient in gradients])
-        absolute = getattr(ctx.found["means2d"], "absgrad", None)
-        ctx.meta["means2d"].absgrad = None if absolute is None else Shadow(absolute)
+        means2d = ctx.found["means2d"]
+        for name in ("absgrad", "grad"):
+            gradient = getattr(means2d, name, None)
+            setattr(ctx.meta["means2d"], name, None if gradient is None else Shadow(gradient))
         return (None, None, None, *(None if leaf.grad is None else Shadow(leaf.grad) for leaf in ctx.leaves))
 
 

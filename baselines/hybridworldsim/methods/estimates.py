@@ -14,6 +14,8 @@ _PER_PIXEL: Final = 115
 """Bytes of the CPU rasterizer with gradients, docs/rasterizer.md."""
 _LIBRARIES: Final = 600 << 20
 """Bytes of torch, numba and their code."""
+_PER_DECODED: Final = 600
+"""Bytes of the networks' inputs, hidden layers and gradients of a Gaussian, on a GPU, where a step decodes all."""
 _COPIES: Final = 4
 """Of each table: parameters, gradients or gathered rows, and two moments."""
 _STEP_CORE_S: Final = 0.038
@@ -43,7 +45,8 @@ def estimate_bytes(sizes: TableSizes, width_px: int, height_px: int) -> int:
 def estimate_task_bytes(sizes: TableSizes, task: ReconstructionTask) -> int:
     """Estimate the peak memory, in bytes, of training a block of a task, if images are square at most."""
     width_px = task.protocol.pixels.max_width_px or _STEP_WIDTH_PX
-    return estimate_bytes(sizes, width_px, width_px)
+    decoded = 0 if task.device == CPU else _PER_DECODED * sizes.gaussians
+    return estimate_bytes(sizes, width_px, width_px) + decoded
 
 
 def describe_costs(sizes: TableSizes, task: ReconstructionTask) -> str:
@@ -58,6 +61,7 @@ def describe_costs(sizes: TableSizes, task: ReconstructionTask) -> str:
     if task.core_minutes is not None:
         return f"{memory}, {task.core_minutes:g} core-minutes"
     if task.device != CPU or task.steps is None:
-        return f"{memory}; the time of a step is not measured on {task.device}"
+        steps = "" if task.steps is None else f", {task.steps} steps"
+        return f"{memory}{steps}; the time of a step is not measured on {task.device}"
     core_s = task.steps * _STEP_CORE_S * max(1.0, (width_px / _STEP_WIDTH_PX) ** 2)
     return f"{memory}, at most {core_s / 60.0:.1f} core-minutes"

@@ -21,6 +21,7 @@ from hybridworldsim.training.parameters import read_parameters, set_parameters
 from hybridworldsim.training.previews import pixels
 from hybridworldsim.training.run.folder import MODEL
 from mirror.arrays import Float32, Float64, UInt8
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.capabilities import Capabilities
@@ -47,13 +48,16 @@ class OpenBlock:
     model: RenderableModel
 
 
-def open_block(folder: Path, make_empty: Callable[[Run, Any], RenderableModel], settings: type) -> OpenBlock:
+def open_block(
+    folder: Path, make_empty: Callable[[Run, Any], RenderableModel], settings: type, device: str = CPU
+) -> OpenBlock:
     """Read a trained block.
 
     Args:
         folder: folder of the block's run.
         make_empty: makes a model of a run and its settings; the model's parameters are replaced by the trained ones.
         settings: class of the method's settings.
+        device: where it renders.
 
     Raises:
         DatasetError: the model is missing or belongs to another method.
@@ -61,6 +65,8 @@ def open_block(folder: Path, make_empty: Callable[[Run, Any], RenderableModel], 
     run = read_run(folder)
     opened = make_empty(run, settings_adapter(settings).validate_python(run.settings))
     set_parameters(opened.model, read_parameters(folder / MODEL))
+    if device != CPU:
+        opened.model.to(device)
     return OpenBlock(run, opened)
 
 

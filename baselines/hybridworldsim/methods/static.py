@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.methods.estimates import TableSizes, describe_costs, estimate_task_bytes
+from hybridworldsim.methods.gpu_settings import describe_changes, size_factor
 from hybridworldsim.methods.overrides import override_settings, settings_document
 from hybridworldsim.methods.renderers import BlockRenderer, one_point, open_block, render_nearest, training_sources
 from hybridworldsim.methods.scene_preparation import BlockTraining, PreparedScene, prepare_scene, source_pairs
@@ -58,6 +59,8 @@ class StaticMethod:
         capabilities: see `Method`; None: the functions of the models that `make` makes show them.
         sizes: returns the largest sizes of the tables from settings, for the estimate that is printed before a training
             starts; None: none is printed.
+        scale: multiplies the numbers of Gaussians of settings, which are those for a CPU, for the larger images of a
+            GPU; None: they are the same on every device.
     """
 
     name: str
@@ -68,6 +71,7 @@ class StaticMethod:
     make_empty: Callable[[Sequence[Source], Any], RenderableModel] | None = None
     capabilities: Capabilities | None = None
     sizes: Callable[[Any], TableSizes] | None = None
+    scale: Callable[[Any, float], Any] | None = None
 
     def reconstruct(
         self, dataset: Dataset, task: ReconstructionTask, out: Path, reporter: ProgressReporter
@@ -87,6 +91,8 @@ class StaticMethod:
         stated = self._stated(task)
         for run in sorted(out.glob(f"*/{RUN}")):
             RunFolder(run.parent, TrainingOutcome).require_same(Run, stated)
+        if changes := describe_changes(self.settings(task.seed), self._defaults(task)):
+            reporter.message(f"defaults on {task.device}: {changes}")
         if self.sizes is not None:
             sizes = self.sizes(settings)
             reporter.message(describe_costs(sizes, task))
@@ -99,15 +105,21 @@ class StaticMethod:
             write_costs(out, result)
         return result
 
-    def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> BlockRenderer:  # noqa: B008 - immutable
-        """Open a renderer; see `InstalledMethod.open`.
+    def open(
+        self,
+        model: Path,
+        appearance: AppearancePolicy = AppearancePolicy(),  # noqa: B008 - immutable
+        *,
+        device: str = CPU,
+    ) -> BlockRenderer:
+        """Open a renderer; see `InstalledMethod.open` and `mirror.methods.method_devices.DeviceMethod`.
 
         Raises:
             UsageError: this method does not support the appearance policy.
             DatasetError: the folder holds no complete model of this method.
         """
         settings = type(self.settings(0))
-        blocks = [open_block(folder, self._make_empty, settings) for folder in block_folders(model)]
+        blocks = [open_block(folder, self._make_empty, settings, device) for folder in block_folders(model)]
         return render_nearest(blocks, appearance, find_capabilities(self, blocks[0].model))
 
     def write(self, path: Path, block: Block, trainer: TrainableMethod, run: Run, *, half: bool) -> int:
@@ -215,7 +227,14 @@ class StaticMethod:
         return self.name
 
     def _settings(self, task: ReconstructionTask) -> Any:
-        return override_settings(self.settings(task.seed), task.settings)
+        return override_settings(self._defaults(task), task.settings)
+
+    def _defaults(self, task: ReconstructionTask) -> Any:
+        """The settings for the device and the width of a task."""
+        settings = self.settings(task.seed)
+        if self.scale is None or task.device == CPU:
+            return settings
+        return self.scale(settings, size_factor(task.protocol.pixels.max_width_px))
 
     def _stated(self, task: ReconstructionTask) -> dict[str, Any]:
         """The values of a run's document, as JSON, that follow from the task alone."""

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from hybridworldsim.methods.appearance_fitting import fit_appearances
 from hybridworldsim.methods.estimates import TableSizes
+from hybridworldsim.methods.gpu_settings import scale_street
 from hybridworldsim.methods.interactive import InteractiveStreet
 from hybridworldsim.methods.static import StaticMethod, block_folders
 from hybridworldsim.model.appearance import AppearanceLatents
@@ -196,7 +197,7 @@ def table_sizes(settings: Settings) -> TableSizes:
     )
 
 
-METHOD: Final = StreetMethod(NAME, make, lambda seed: Settings(seed=seed), sizes=table_sizes)
+METHOD: Final = StreetMethod(NAME, make, lambda seed: Settings(seed=seed), sizes=table_sizes, scale=scale_street)
 """The paper's three losses only; the depth error is a share of the depth."""
 
 STRUCTURE: Final = StreetMethod(
@@ -204,6 +205,7 @@ STRUCTURE: Final = StreetMethod(
     make,
     lambda seed: Settings(structure_weight=STRUCTURE_WEIGHT, seed=seed),
     sizes=table_sizes,
+    scale=scale_street,
 )
 """The paper's losses and a structure loss."""
 

@@ -9,6 +9,7 @@ from hybridworldsim.methods.static import StaticMethod
 from mirror_baselines.mtgs_style.settings import TUNED
 from mirror_baselines.mtgs_style.trainer import make, make_empty
 from mirror_baselines.splatting.renderer import SplattingRenderer
+from mirror_baselines.splatting.scaling import scale_counts
 from mirror_baselines.splatting.settings import table_sizes
 
 METHOD: Final = StaticMethod(
@@ -18,4 +19,5 @@ METHOD: Final = StaticMethod(
     make_empty=make_empty,
     capabilities=SplattingRenderer.CAPABILITIES,
     sizes=table_sizes,
+    scale=scale_counts,
 )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 import torch
 from torch import Tensor, nn
@@ -42,10 +42,18 @@ class AffineAppearance(AppearanceModel):
         self.affine = nn.Sequential(nn.Linear(settings.embedding, settings.hidden), nn.ReLU(), last)
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
-        self._adam = torch.optim.Adam(
-            [{"params": self.cube.parameters()}, {"params": self.affine.parameters()}], eps=1e-15, fused=True
-        )
+        self._adam = self._make_adam()
         self._generator = torch.Generator()
+
+    def _make_adam(self) -> Optimizer:
+        groups = [{"params": self.cube.parameters()}, {"params": self.affine.parameters()}]
+        return torch.optim.Adam(groups, eps=1e-15, fused=True)
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Any:
+        super()._apply(fn, recurse)
+        # A move may replace the parameters.
+        self._adam = self._make_adam()
+        return self
 
     def optimizers(self) -> list[Optimizer]:
         """See `AppearanceModel`."""
@@ -73,7 +81,8 @@ class AffineAppearance(AppearanceModel):
         table = self.embeddings.table
         if row is None and not len(table):
             return FinishedImage(composited, composited)
-        matrix = self.affine(table.mean(0) if row is None else table[row]).view(3, 4) + _IDENTITY
+        change = self.affine(table.mean(0) if row is None else table[row]).view(3, 4)
+        matrix = change + torch.eye(3, 4, device=change.device)
         mapped = composited @ matrix[:, :3].T + matrix[:, 3]
         return FinishedImage(mapped, mapped)
 

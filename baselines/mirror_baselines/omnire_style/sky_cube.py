@@ -25,7 +25,7 @@ class SkyCube(nn.Module):
 
     def forward(self, viewpoint: Viewpoint) -> Tensor:
         """Return the sky (H, W, 3) of a viewpoint, whatever its position."""
-        return self.sample(ray_directions(viewpoint))
+        return self.sample(ray_directions(viewpoint, self.faces.device))
 
     def sample(self, rays: Tensor) -> Tensor:
         """Return the sky (H, W, 3) in directions (H, W, 3) of any length."""
@@ -43,10 +43,16 @@ class SkyCube(nn.Module):
         return sampled[0].permute(1, 2, 0)
 
 
-def ray_directions(viewpoint: Viewpoint) -> Tensor:
-    """Return the directions (H, W, 3) of the pixels' rays in the block's frame, of any length."""
-    K = viewpoint.K
-    x = (torch.arange(viewpoint.width_px) + 0.5 - K[0, 2]) / K[0, 0]
-    y = (torch.arange(viewpoint.height_px) + 0.5 - K[1, 2]) / K[1, 1]
-    right, down, forward = viewpoint.viewmat[:3, :3]
+def ray_directions(viewpoint: Viewpoint, device: torch.device | None = None) -> Tensor:
+    """Return the directions (H, W, 3) of the pixels' rays in the block's frame, of any length.
+
+    Args:
+        viewpoint: the camera.
+        device: where they are computed; None: on the CPU.
+    """
+    K, viewmat = viewpoint.K, viewpoint.viewmat
+    viewmat = viewmat if device is None else viewmat.to(device, non_blocking=True)
+    x = (torch.arange(viewpoint.width_px, device=device) + 0.5 - K[0, 2]) / K[0, 0]
+    y = (torch.arange(viewpoint.height_px, device=device) + 0.5 - K[1, 2]) / K[1, 1]
+    right, down, forward = viewmat[:3, :3]
     return x[None, :, None] * right + y[:, None, None] * down + forward

@@ -78,7 +78,8 @@ class DensityControl:
         if due <= self._round:
             return False
         self._round = due
-        with torch.random.fork_rng(devices=[]):
+        device = tables["means"].device
+        with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
             torch.manual_seed(self._seed * 1_000_003 + due)
             self._set_growth_threshold(len(tables["means"]), due / settings.rounds)
             # The gradients of this step are counted by now: the threshold depends on them.
@@ -117,11 +118,17 @@ class DensityControl:
             statistics = state.get(f"density.{name}")
             self._state[name] = None if statistics is None else statistics.clone()
 
+    def to(self, device: torch.device) -> None:
+        """Move restored statistics to the device of the tables."""
+        for name in _STATISTICS:
+            if self._state[name] is not None:
+                self._state[name] = self._state[name].to(device)
+
 
 def _empty_meta(meta: dict[str, Any]) -> dict[str, Any]:
     """Results of the rasterizer for an image that shows no Gaussian."""
-    means2d = torch.zeros(0, 2)
-    means2d.grad = torch.zeros(0, 2)
-    vars(means2d)["absgrad"] = torch.zeros(0, 2)
-    no_ids = torch.zeros(0, dtype=torch.int64)
-    return {**meta, "means2d": means2d, "gaussian_ids": no_ids, "radii": torch.zeros(0, 2)}
+    ids = meta["gaussian_ids"]
+    means2d, gradient = (torch.zeros(0, 2, device=ids.device) for _ in range(2))
+    means2d.grad = gradient
+    vars(means2d)["absgrad"] = gradient
+    return {**meta, "means2d": means2d, "gaussian_ids": ids[:0], "radii": meta["radii"][:0]}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import ClassVar, Final
 
 import torch
 from torch import Tensor, nn
@@ -11,18 +11,21 @@ from torch import Tensor, nn
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror_baselines.splatting.appearance import AppearanceModel
+from mirror_baselines.splatting.kept_parameters import KeepsParameters
 
 GEOMETRY: Final = ("means", "quats", "scales", "opacities")
 _SIGMAS = 3.33
 
 
-class Gaussians(nn.Module):
+class Gaussians(KeepsParameters):
     """A model of explicit Gaussians, each with its own parameters.
 
     Args:
         seeds: initial parameters, see `mirror_baselines.splatting.gaussian_init.initial_gaussians`.
         appearance: computes their colours.
     """
+
+    KEPT: ClassVar = ("sh_degree",)
 
     def __init__(self, seeds: Mapping[str, Tensor], appearance: AppearanceModel) -> None:
         super().__init__()
@@ -48,7 +51,7 @@ class Gaussians(nn.Module):
     def spherical_harmonics(self, rows: Tensor, source: Source) -> Tensor:
         """Copy the coefficients (M, (degree + 1)^2, 3) of rows for a source."""
         degree = int(self.sh_degree)
-        coefficients = torch.empty(len(rows), (degree + 1) ** 2, 3)
+        coefficients = torch.empty(len(rows), (degree + 1) ** 2, 3, device=rows.device)
         filled = 0
         for name, first, past in self.look.bands(source, degree):
             part = self.tables[name].detach()[:, : past - first]

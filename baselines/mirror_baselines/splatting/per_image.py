@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from hybridworldsim.trainable.viewpoint import Source, Viewpoint
+from mirror_baselines.splatting.kept_parameters import KeepsParameters
 from mirror_baselines.splatting.row_adam import RowAdam
 
 _KEY = 17
 
 
-class PerImageTable(nn.Module):
+class PerImageTable(KeepsParameters):
     """A table with one row for each image; a row is added when its image is first used.
 
     Args:
         sources: traversals and cameras of the images.
         size: number of parameters of an image.
     """
+
+    KEPT: ClassVar = ("keys",)
 
     def __init__(self, sources: Sequence[Source], size: int) -> None:
         super().__init__()
@@ -47,6 +51,7 @@ class PerImageTable(nn.Module):
         key = self._key(viewpoint)
         if key is None or self.row(viewpoint) is not None:
             return
+        first = first.to(self.table.device, non_blocking=True)
         table = nn.Parameter(torch.cat([self.table.detach(), first[None]]))
         moments = self.adam.state.pop(self.table, {})
         for name in ("exp_avg", "exp_avg_sq"):
@@ -63,7 +68,8 @@ class PerImageTable(nn.Module):
         """Update the row of an image by its gradient."""
         row = self.row(viewpoint)
         if row is not None and self.table.grad is not None:
-            self.adam.update(torch.tensor([row]), self.table.grad[row][None])
+            rows = torch.full((1,), row, dtype=torch.int64, device=self.table.device)
+            self.adam.update(rows, self.table.grad[row][None])
         self.table.grad = None
 
     def _key(self, viewpoint: Viewpoint) -> Tensor | None:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.covers import covered_before
+from hybridworldsim.rasterizer.cuda import preset_on
 from hybridworldsim.trainable.method import Rendering
 from hybridworldsim.trainable.viewpoint import Viewpoint
 from mirror.arrays import Float32
@@ -50,7 +51,7 @@ class SplattingRenderer:
         settings: its settings.
     """
 
-    CAPABILITIES: Final = Capabilities(renders_depth=True, renders_covers=True)
+    CAPABILITIES: Final = Capabilities(renders_depth=True, renders_covers=True, takes_device=True, rasterizes=True)
 
     def __init__(self, model: Gaussians, settings: Splatting) -> None:
         self.model, self.settings = model, settings
@@ -76,14 +77,16 @@ class SplattingRenderer:
         geometry, spherical_harmonics = model.geometry(rows), model.spherical_harmonics(rows, viewpoint.source)
         for leaf in (*geometry.values(), spherical_harmonics):
             leaf.requires_grad_(learning)
+        device = rows.device
+        viewmat, K = viewpoint.on(device)
         images, alphas, meta = rasterization(
             geometry["means"],
             geometry["quats"],
             geometry["scales"].exp(),
             geometry["opacities"].sigmoid(),
             spherical_harmonics,
-            viewpoint.viewmat[None],
-            viewpoint.K[None],
+            viewmat[None],
+            K[None],
             viewpoint.width_px,
             viewpoint.height_px,
             near_plane=self.settings.near_m,
@@ -91,6 +94,7 @@ class SplattingRenderer:
             render_mode="RGB+ED",
             rasterize_mode="antialiased" if self.settings.antialiased else "classic",
             absgrad=self.settings.densification.absolute,
+            preset=preset_on(device),
             nonfinite="cull",
         )
         meta["gaussian_ids"] = rows[meta["gaussian_ids"]]

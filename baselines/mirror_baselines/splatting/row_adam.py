@@ -10,6 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
+from hybridworldsim.kernels.dispatch import is_compiled
+
 _EPS = 1e-15
 _BETA1, _BETA2 = 0.9, 0.999
 
@@ -48,19 +50,41 @@ class RowAdam(Optimizer):
         state["step"] += 1.0
         steps = int(state["step"])
         values, first_moments, second_moments = (
-            table.detach().view(len(table), -1).numpy() for table in (table, state["exp_avg"], state["exp_avg_sq"])
+            one.detach().view(len(table), -1) for one in (table, state["exp_avg"], state["exp_avg_sq"])
         )
+        count = values.shape[1] if count is None else count
+        flat = gradients.reshape(len(rows), -1)
+        rate, correction = group["lr"] / (1.0 - _BETA1**steps), (1.0 - _BETA2**steps) ** -0.5
+        if not is_compiled(table):
+            used = flat[:, first : first + count]
+            update_rows(rows, used, values, first_moments, second_moments, rate, correction)
+            return
         _update(
-            rows.numpy(),
-            gradients.reshape(len(rows), -1).numpy(),
-            first,
-            values.shape[1] if count is None else count,
-            values,
-            first_moments,
-            second_moments,
-            np.float32(group["lr"] / (1.0 - _BETA1**steps)),
-            np.float32((1.0 - _BETA2**steps) ** -0.5),
-        )
+            rows.numpy(), flat.numpy(), first, count, values.numpy(), first_moments.numpy(), second_moments.numpy(),
+            np.float32(rate), np.float32(correction),
+        )  # fmt: skip
+
+
+def update_rows(
+    rows: Tensor, gradients: Tensor, table: Tensor, first: Tensor, second: Tensor, rate: float, correction: float
+) -> None:
+    """Update some rows of a table and of its moments, (N, D), in place, in plain torch on any device.
+
+    Args:
+        rows: (M,) int64, without repetition.
+        gradients: (M, K) of the first K columns.
+        table: the parameters.
+        first: first moments.
+        second: second moments.
+        rate: learning rate, with the bias correction of the first moment.
+        correction: factor of the root of the second moment: its bias correction.
+    """
+    table, first, second = (one[:, : gradients.shape[1]] for one in (table, first, second))
+    mean = first.index_select(0, rows).mul_(_BETA1).add_(gradients, alpha=1.0 - _BETA1)
+    square = second.index_select(0, rows).mul_(_BETA2).addcmul_(gradients, gradients, value=1.0 - _BETA2)
+    first.index_copy_(0, rows, mean)
+    second.index_copy_(0, rows, square)
+    table.index_add_(0, rows, mean.div_(square.sqrt_().mul_(correction).add_(_EPS)), alpha=-rate)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -26,6 +26,24 @@ def scale_splatting(settings: _Settings, rates: float, sizes: float) -> _Setting
     )
 
 
+def scale_counts(settings: _Settings, factor: float) -> _Settings:
+    """Multiply all numbers of Gaussians by a factor; initial points and grids are denser to match."""
+    scaled, closer = scale_splatting(settings, 1.0, factor), factor**-0.5
+    seeding = scaled.seeding
+    return replace(
+        scaled,
+        seeding=replace(
+            seeding,
+            spacing_m=closer * seeding.spacing_m,
+            share=closer * seeding.share,
+            ground_spacing_m=closer * seeding.ground_spacing_m,
+            sky_count=round(factor * seeding.sky_count),
+            far_count=round(factor * seeding.far_count),
+        ),
+        densification=replace(scaled.densification, split_m=closer * scaled.densification.split_m),
+    )
+
+
 def scale_rates(settings: _T, times: float) -> _T:
     """Multiply the learning rates of a dataclass by a factor."""
     values = {field.name: getattr(settings, field.name) for field in fields(settings)}

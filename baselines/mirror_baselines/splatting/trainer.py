@@ -11,6 +11,7 @@ from torch.optim import SGD, Optimizer
 from hybridworldsim.trainable.method import StepReport
 from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.training.run.state import dump, load
+from mirror.devices import CPU
 from mirror_baselines.splatting.density import DensityControl
 from mirror_baselines.splatting.losses import image_losses, surface_losses
 from mirror_baselines.splatting.model import Gaussians
@@ -33,8 +34,13 @@ class SplattingTrainer(SplattingRenderer):
         self.density = DensityControl(settings.densification, settings.seed, len(model))
         self._steps = 0
 
+    def to(self, device: str) -> SplattingTrainer:
+        """Return a trainer of the same untrained Gaussians on a device."""
+        return self if device == CPU else SplattingTrainer(self.model.to(device), self.settings)
+
     def step(self, image: TrainingImage, progress: float) -> StepReport:
         """Train on one image; see `TrainableMethod`."""
+        image = image.to(self.model.tables["means"].device)
         settings, appearance = self.settings, self.model.look
         self.model.sh_degree.fill_(min(int(progress / settings.sh_step), settings.sh_degree))
         for name, adam in self._adams.items():
@@ -55,7 +61,9 @@ class SplattingTrainer(SplattingRenderer):
         self._update(output, image)
         self.density.after_backward(self.model.tables, self._adams, output.meta, progress)
         self._steps += 1
-        return StepReport({name: float(loss.detach()) for name, (_, loss) in losses.items()}, len(self.model))
+        # Read together: each reading waits for the GPU.
+        values = torch.stack([loss.detach() for _, loss in losses.values()]).tolist()
+        return StepReport(dict(zip(losses, values)), len(self.model))
 
     def _update(self, output: RenderOutput, image: TrainingImage) -> None:
         for name, leaf in output.geometry.items():
@@ -88,6 +96,7 @@ class SplattingTrainer(SplattingRenderer):
                     {table: moments.state[table] for table in group["params"] if table in moments.state}
                 )
         self.density.restore(state)
+        self.density.to(self.model.tables["means"].device)
         (self._steps,) = state["counters"].tolist()
 
     def _optimizers(self) -> list[Optimizer]:

@@ -7,6 +7,7 @@ from typing import Final
 
 from hybridworldsim.methods.static import StaticMethod
 from mirror_baselines.splatting.renderer import SplattingRenderer
+from mirror_baselines.splatting.scaling import scale_counts
 from mirror_baselines.splatting.settings import table_sizes
 from mirror_baselines.vanilla_3dgs.settings import TUNED
 from mirror_baselines.vanilla_3dgs.trainer import make, make_empty
@@ -18,4 +19,5 @@ METHOD: Final = StaticMethod(
     make_empty=make_empty,
     capabilities=SplattingRenderer.CAPABILITIES,
     sizes=table_sizes,
+    scale=scale_counts,
 )

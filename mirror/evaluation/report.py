@@ -1,4 +1,4 @@
-"""The report: a page with the figures of a result, and its worst, median and best renders beside truth and error.
+"""The report: a page with the best, median and worst renders over their truth, and the figures of a result.
 
 It is a single HTML file without scripts or network access, and is readable on a phone and in dark mode.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -19,7 +19,9 @@ from mirror.evaluation.report_tables import (
     breakdown_tables,
     find_headline,
     format_value,
+    group_title,
     list_measures,
+    select_ranks,
     summary_table,
 )
 from mirror.evaluation.result import Result
@@ -32,11 +34,7 @@ from mirror.pages.rendering import render_page
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes
 
-if TYPE_CHECKING:
-    from markupsafe import Markup
-
 _WIDTH_PX: Final = 480
-_EXAMPLES_EACH: Final = 2
 _FULL_ERROR: Final = 64.0
 _GREY: Final = 96
 """Level of pixels that are not compared."""
@@ -129,7 +127,9 @@ def _find_headline(result: Result, baselines: Sequence[Result]) -> tuple[str, st
         if (other.level, other.group, other.metric) == ("group", figure.group, figure.metric)
     ]
     ranks = "ranks results" if result.protocol.ranking is not None else ""
-    return format_value(figure), "; ".join(filter(None, [f"{figure.group}: {figure.metric}", ranks, *beside]))
+    return format_value(figure), "; ".join(
+        filter(None, [f"{group_title(figure.group)}: {find_measure(figure.metric).title}", ranks, *beside])
+    )
 
 
 def _require_comparable(result: Result, baselines: Sequence[Result]) -> None:
@@ -145,14 +145,17 @@ def _require_comparable(result: Result, baselines: Sequence[Result]) -> None:
 
 def _list_unavailable(result: Result) -> str:
     """List the metrics without weights or data in one line; empty if there are none."""
-    parts = [f"{metric} ({reason.partition('; ')[0]})" for metric, reason in result.unavailable.items()]
+    parts = [
+        f"{find_measure(metric).title} ({reason.partition('; ')[0]})" for metric, reason in result.unavailable.items()
+    ]
     return "; ".join(parts)
 
 
 def _list_examples(result: Result, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Iterable[dict[str, object]]:
-    """List the worst, median and best renders of each group by the metric that ranks, or by PSNR."""
+    """List the best, median and worst renders of each group by the metric that ranks, or by PSNR."""
     ranking = result.protocol.ranking
     metric = "psnr" if ranking is None else ranking.metric
+    measure = find_measure(metric)
     figure = next((figure for figure in result.figures if figure.metric == metric), None)
     if figure is None:
         return
@@ -162,31 +165,19 @@ def _list_examples(result: Result, scored: Sequence[ScoredJob], inputs: ScoringI
         if isinstance(value, float) and not math.isnan(value):
             ranked.setdefault(scored_job.job.views[0].group, []).append((value, scored_job))
     for group, group_ranked in ranked.items():
-        group_ranked.sort(key=lambda item: item[0], reverse=find_measure(metric).better == "lower")
+        group_ranked.sort(key=lambda item: item[0], reverse=measure.better == "lower")
         renders = []
-        for title, ranks in _select_ranks(len(group_ranked)).items():
-            for rank in ranks:
+        for title, ranks in reversed(select_ranks(len(group_ranked)).items()):
+            for rank in reversed(ranks):
                 value, scored_job = group_ranked[rank]
                 shown, view = format_value(figure.model_copy(update={"value": value})), scored_job.job.views[0]
-                about = {"title": f"{title}: {metric} {shown}", "view": view}
-                renders.append({**about, "images": _inline_triple(view, inputs)})
-        yield {"name": group, "renders": renders}
+                about = {"title": f"{title}: {measure.title} {shown}", "view": view, "id": f"{group}-{title}-{rank}"}
+                renders.append({**about, **_inline_views(view, inputs)})
+        yield {"name": group_title(group), "renders": renders}
 
 
-def _select_ranks(count: int) -> dict[str, range]:
-    """Select disjoint ranges of ranks among `count` sorted renders: worst, median and best."""
-    each = min(_EXAMPLES_EACH, max(count // 3, 1))
-    middle = max((count - each) // 2, 0)
-    ranks = {"worst": range(min(each, count))}
-    if count > 2:
-        ranks["median"] = range(middle, middle + each)
-    if count > 1:
-        ranks["best"] = range(count - each, count)
-    return ranks
-
-
-def _inline_triple(view: RenderView, inputs: ScoringInputs) -> list[tuple[str, Markup]]:
-    """Return a render, its truth and its error with their names."""
+def _inline_views(view: RenderView, inputs: ScoringInputs) -> dict[str, object]:
+    """Return a render, its truth and its error as images, and their width."""
     render, truth, scored = inputs.render(view), inputs.truth.image(view), inputs.scored_mask(view)
     outside = inputs.truth.outside_lens(view)
     images = {
@@ -194,4 +185,5 @@ def _inline_triple(view: RenderView, inputs: ScoringInputs) -> list[tuple[str, M
         "truth": cover(truth, outside),
         "error": error_map(render, truth, scored),
     }
-    return [(name, inline_image(image, f"{name} of {view.path}", _WIDTH_PX)) for name, image in images.items()]
+    inlined = {name: inline_image(image, f"{name} of {view.path}", _WIDTH_PX) for name, image in images.items()}
+    return {**inlined, "width": min(render.shape[1], _WIDTH_PX)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -9,8 +10,18 @@ from typing import Final
 from mirror.evaluation.result import GroupFigure, Level, Result
 from mirror.metrics.catalogue import Measure, find_measure
 
+_EXAMPLES_EACH: Final = 2
 _WIDEST: Final = 8
 """With more metrics a table has a row for each, since a page would not show so many columns."""
+
+_SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
+_GROUPS: Final[Mapping[str, str]] = {
+    "training": "Training traversals",
+    "novel": "Novel traversals",
+    "all": "All",
+    "reported": "Stated",
+    "measured": "Measured here",
+}
 
 LEVELS: Final[Mapping[Level, str]] = {
     "scene": "By scene",
@@ -90,7 +101,7 @@ def summary_table(result: Result, baselines: Sequence[Result], notes: Footnotes)
         for one in (result, *baselines):
             figures = [figure for figure in one.figures if (figure.level, figure.group) == ("group", group)]
             name = one.submission.method.name if one is result else f"{one.submission.method.name} (baseline)"
-            rows.append(_Row((group, name), {figure.metric: figure for figure in figures}))
+            rows.append(_Row((group_title(group), name), {figure.metric: figure for figure in figures}))
     return _arrange(("group", "method"), [row for row in rows if row.figures], notes)
 
 
@@ -100,7 +111,7 @@ def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, st
         rows: dict[tuple[str, str], dict[str, GroupFigure]] = {}
         for figure in result.figures:
             if figure.level == level:
-                rows.setdefault((figure.group, figure.key), {})[figure.metric] = figure
+                rows.setdefault((group_title(figure.group), figure.key), {})[figure.metric] = figure
         if rows:
             parts = [_Row(labels, figures) for labels, figures in rows.items()]
             yield Breakdown(title, _arrange(("group", level), parts, notes))
@@ -120,6 +131,26 @@ def find_headline(result: Result) -> GroupFigure | None:
     return next((figure for figure in of_groups if figure.value is not None), None)
 
 
+def group_title(group: str) -> str:
+    """Return the title of a protocol's group in reports and on boards."""
+    shift = _SHIFT.fullmatch(group)
+    if shift is not None:
+        return " ".join(filter(None, (shift[2], "m", shift[1])))
+    return _GROUPS.get(group, group.replace("-", " "))
+
+
+def select_ranks(count: int) -> dict[str, range]:
+    """Select disjoint ranges of ranks among `count` sorted examples, worst first: worst, median and best."""
+    each = min(_EXAMPLES_EACH, max(count // 3, 1))
+    middle = max((count - each) // 2, 0)
+    ranks = {"worst": range(min(each, count))}
+    if count > 2:
+        ranks["median"] = range(middle, middle + each)
+    if count > 1:
+        ranks["best"] = range(count - each, count)
+    return ranks
+
+
 def format_value(figure: GroupFigure) -> str:
     """Format a value with its unit."""
     return "none" if figure.value is None else f"{_number(figure, figure.value)} {figure.unit}".strip()
@@ -135,21 +166,22 @@ def _arrange(labels: Sequence[str], rows: Sequence[_Row], notes: Footnotes) -> F
         cells = [_format_cell(row.figures.get(metric), notes) for metric in metrics]
         counts = dict.fromkeys(str(figure.n) for figure in row.figures.values())
         arranged.append(FigureRow(row.labels, cells, ", ".join(counts)))
-    return FigureTable([*labels, *(f"n:{_head(metric)}" for metric in metrics), "n:n"], arranged)
+    return FigureTable([*labels, *(f"n:{metric_head(metric)}" for metric in metrics), "n:n"], arranged)
 
 
 def _arrange_long(labels: Sequence[str], rows: Sequence[_Row], notes: Footnotes) -> FigureTable:
     arranged = [
-        FigureRow([*row.labels, metric], [_format_cell(figure, notes)], str(figure.n))
+        FigureRow([*row.labels, metric_head(metric)], [_format_cell(figure, notes)], str(figure.n))
         for row in rows
         for metric, figure in row.figures.items()
     ]
     return FigureTable([*labels, "metric", "n:value", "n:n"], arranged)
 
 
-def _head(metric: str) -> str:
-    unit = find_measure(metric).unit
-    return f"{metric}, {unit}" if unit else metric
+def metric_head(metric: str) -> str:
+    """Return the title of a metric with the unit of results and the direction of better values."""
+    measure = find_measure(metric)
+    return f"{measure.title}{f', {measure.unit}' if measure.unit else ''} {measure.arrow}"
 
 
 def _format_cell(figure: GroupFigure | None, notes: Footnotes) -> FigureCell | None:
@@ -163,15 +195,16 @@ def _format_cell(figure: GroupFigure | None, notes: Footnotes) -> FigureCell | N
 
 
 def _list_remarks(figure: GroupFigure) -> Iterator[str]:
+    title = find_measure(figure.metric).title
     if figure.value is not None and figure.low is None and figure.interval_reason:
         yield f"No interval: {figure.interval_reason}."
     for remark in (figure.note, figure.reason):
         if remark:
-            yield f"{figure.metric}: {remark}."
+            yield f"{title}: {remark}."
     if figure.n_inf:
-        yield f"{figure.metric}: {figure.n_inf} equal to the truth (infinite, left out of the mean)."
+        yield f"{title}: {figure.n_inf} equal to the truth (infinite, left out of the mean)."
     if figure.n_missing:
-        yield f"{figure.metric}: {figure.n_missing} without a value."
+        yield f"{title}: {figure.n_missing} without a value."
 
 
 def _number(figure: GroupFigure, value: float) -> str:

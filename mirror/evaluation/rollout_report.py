@@ -1,4 +1,4 @@
-"""The report of rollouts: figures with intervals, the worst rollouts from above, and a table of all of them.
+"""The report of rollouts: the best, median and worst from above, figures with intervals, and a table of all of them.
 
 It is a single HTML file without scripts or network access, as that of renders.
 """
@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.evaluation.report_tables import Footnotes, breakdown_tables, list_measures, summary_table
+from mirror.evaluation.report_tables import (
+    Footnotes,
+    breakdown_tables,
+    list_measures,
+    metric_head,
+    select_ranks,
+    summary_table,
+)
 from mirror.evaluation.rollouts import RolloutEvaluation
 from mirror.evaluation.scorers.safety import ScoredRollout
 from mirror.metrics.catalogue import MEASURES
@@ -26,7 +33,6 @@ from mirror.schema.rollout import MAP_FILE, STATES_FILE
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-_SHOWN: Final = 4
 _RANKED_BY: Final = "epdms"
 _BESIDE_M: Final = 12.0
 _MOST: Final = 500
@@ -55,8 +61,8 @@ def write_rollout_report(done: RolloutEvaluation, folder: Path, out: Path) -> No
         tiles=_list_tiles(done.scored),
         result=result,
         summary=summary_table(result, (), notes),
-        worst=_draw_worst(done.scored, folder),
-        columns=[f"n:{name}" for name in _COLUMNS],
+        examples=_draw_examples(done.scored, folder),
+        columns=[f"n:{metric_head(name)}" for name in _COLUMNS],
         rollouts=[_describe_rollout(one) for one in listed],
         unlisted=len(done.scored) - len(listed),
         # The protocol's traversals are the scenarios of the rollouts.
@@ -96,15 +102,18 @@ def _describe_rollout(one: ScoredRollout) -> dict[str, object]:
     return {"scenario": run.scenario, "seed": run.seed, "ending": run.ending.replace("_", " "), "cells": cells}
 
 
-def _draw_worst(scored: Sequence[ScoredRollout], folder: Path) -> list[dict[str, object]]:
+def _draw_examples(scored: Sequence[ScoredRollout], folder: Path) -> list[dict[str, object]]:
+    """Draw the best, median and worst rollouts from above."""
+    ranked = _rank(scored)
     plans: list[dict[str, object]] = []
-    for one in _rank(scored)[:_SHOWN]:
-        run = folder / one.path
-        plan = draw_plan(read_state_log(run / STATES_FILE), read_road_map(run / MAP_FILE))
-        score, measure = one.values.get(_RANKED_BY), MEASURES[_RANKED_BY]
-        shown = "none" if score is None else f"{score:.2f}"
-        words = f"{one.rollout.scenario}, seed {one.rollout.seed}: {measure.title} {shown}"
-        plans.append({"plan": plan, "words": words})
+    for title, ranks in reversed(select_ranks(len(ranked)).items()):
+        for one in (ranked[rank] for rank in reversed(ranks)):
+            run = folder / one.path
+            plan = draw_plan(read_state_log(run / STATES_FILE), read_road_map(run / MAP_FILE))
+            score, measure = one.values.get(_RANKED_BY), MEASURES[_RANKED_BY]
+            shown = "none" if score is None else f"{score:.2f}"
+            words = f"{title}: {one.rollout.scenario}, seed {one.rollout.seed}, {measure.title} {shown}"
+            plans.append({"plan": plan, "words": words})
     return plans
 
 

@@ -369,7 +369,7 @@ def find_measure(metric: str) -> Measure:
         UsageError: the catalogue has no such metric.
     """
     if metric.startswith(_OF_CLASS):
-        return replace(MEASURES["ap"], name=metric)
+        return replace(MEASURES["ap"], name=metric, title=f"AP {metric.removeprefix(_OF_CLASS).replace('_', ' ')}")
     if metric not in MEASURES:
         raise UsageError(
             f"metric {metric!r} is unknown",

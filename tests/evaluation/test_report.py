@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,10 +17,12 @@ from mirror.errors import UsageError
 from mirror.evaluation.report import cover, error_map, write_report
 from mirror.evaluation.result import GroupFigure
 from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
+from mirror.metrics.catalogue import MEASURES, find_measure
 from mirror.protocols.views import RenderView
 from tests.evaluation.submissions import SPLIT, small, write_renders
 
 GROUPS = '[[groups]]\nname = "training"\nroles = ["train"]\n\n[[groups]]\nname = "novel"\nroles = ["held_out"]\n'
+DATA = re.compile(r'src="data:image/jpeg;base64,([^"]*)"')
 PROTOCOL = small(every=10, groups=GROUPS)
 
 
@@ -27,7 +31,7 @@ def darker(view: RenderView, truth: UInt8) -> UInt8:
 
 
 def brighter(view: RenderView, truth: UInt8) -> UInt8:
-    return np.clip(truth.astype(np.int16) + 20, 0, 255).astype(np.uint8)
+    return np.clip(truth.astype(np.int16) + 12 + sum(view.path.encode()) % 9, 0, 255).astype(np.uint8)
 
 
 @pytest.fixture(scope="module")
@@ -55,14 +59,48 @@ def text_of(page: str) -> list[list[list[str]]]:
     return [[re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.S) for row in table] for table in rows]
 
 
-def test_headline_dataset_and_baseline_come_first(scored: dict[str, Evaluation], tmp_path: Path) -> None:
+def test_headline_and_images_come_first(scored: dict[str, Evaluation], tmp_path: Path) -> None:
     page = write(scored, tmp_path)
-    places = [page.index(text) for text in ('class="tiles"', ">dataset ", "floor (baseline)", "By scene", "worst")]
+    order = ('class="tiles"', ">dataset ", "<b>best: ", "<b>median: ", "<b>worst: ", "floor (baseline)", "By scene")
+    places = [page.index(text) for text in order]
     assert places == sorted(places)
     result = scored["mine"].result
     assert result is not None
     values = {(figure.group, figure.metric): figure.value for figure in result.figures if figure.level == "group"}
     assert f"<b>{values['training', 'psnr']:.2f} dB</b>" in page
+    assert "Training traversals: PSNR" in page
+
+
+def test_best_median_and_worst_renders_are_compared_with_their_truth(
+    scored: dict[str, Evaluation], tmp_path: Path
+) -> None:
+    page = write(scored, tmp_path)
+    sections = re.findall(r"<h2>([^<]*): best, median and worst renders</h2>(.*?)(?=<h2>)", page, re.S)
+    assert [name for name, _ in sections] == ["Training traversals", "Novel traversals"]
+    for _, section in sections:
+        count = section.count('class="compare"')
+        ranked = [float(value) for value in re.findall(r"<b>\w+: PSNR ([\d.]+) dB</b>", section)]
+        assert len(ranked) == count and ranked == sorted(set(ranked), reverse=True)
+        names = re.findall(r'<input type="radio" name="([^"]*)"', section)
+        # Each comparison has steps of its own, of which one is chosen.
+        assert len(names) == 21 * len(set(names)) == 21 * count and section.count(" checked>") == count
+        for stage in re.findall(r'<div class="stage">(.*?)</div></div>', section, re.S):
+            images = [cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), 1) for data in DATA.findall(stage)]
+            assert len(images) == 2 and images[0].shape == images[1].shape
+            # The renders of this method are its truth, 12 to 20 levels brighter.
+            assert 6 < images[1].mean() - images[0].mean() < 21
+    assert page.count('class="examples"') == 2 and page.index("By scene") > page.rindex('class="compare"')
+
+
+def test_figures_have_the_names_of_boards(scored: dict[str, Evaluation], tmp_path: Path) -> None:
+    page = write(scored, tmp_path)
+    result = scored["mine"].result
+    assert result is not None
+    for figure in result.figures:
+        measure = find_measure(figure.metric)
+        assert f"<b>{measure.title}</b> <code>{measure.name}</code>" in page
+    heads = {cell for table in text_of(page) for cell in table[0]}
+    assert "PSNR, dB ↑" in heads and not heads & set(MEASURES)
 
 
 def test_tables_have_no_empty_column(scored: dict[str, Evaluation], tmp_path: Path) -> None:
@@ -74,10 +112,10 @@ def test_tables_have_no_empty_column(scored: dict[str, Evaluation], tmp_path: Pa
             assert any(column), table[0]
     # The method and the baseline, for each group.
     assert [row[:2] for row in tables[0][1:]] == [
-        ["training", "mine"],
-        ["training", "floor (baseline)"],
-        ["novel", "mine"],
-        ["novel", "floor (baseline)"],
+        ["Training traversals", "mine"],
+        ["Training traversals", "floor (baseline)"],
+        ["Novel traversals", "mine"],
+        ["Novel traversals", "floor (baseline)"],
     ]
 
 
@@ -89,7 +127,7 @@ def test_remarks_stand_once_and_missing_weights_in_one_line(scored: dict[str, Ev
     write_report(Evaluation(mine.plan, mine.check, result, mine.inputs, mine.scored), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert page.count("Not scored:") == 1
-    line = "Not scored: lpips_alex (weights &lt;script&gt; are missing); lpips_vgg (weights b are missing)."
+    line = "Not scored: LPIPS alex (weights &lt;script&gt; are missing); LPIPS vgg (weights b are missing)."
     assert line in page and "<script" not in page
     remarks = re.findall(r"<li>(.*?)</li>", page)
     assert remarks and len(set(remarks)) == len(remarks)
@@ -105,7 +143,7 @@ def test_many_metrics_have_a_row_each(scored: dict[str, Evaluation], tmp_path: P
     write_report(Evaluation(mine.plan, mine.check, result, mine.inputs, mine.scored), tmp_path / "report.html")
     (table,) = text_of((tmp_path / "report.html").read_text())
     assert table[0] == ["group", "method", "metric", "value", "n"]
-    assert [row[2:4] for row in table[1:]] == [[f"ap_{number}", f"{0.1 * number:.4f}"] for number in range(9)]
+    assert [row[2:4] for row in table[1:]] == [[f"AP {number} ↑", f"{0.1 * number:.4f}"] for number in range(9)]
 
 
 def test_baseline_of_another_plan_is_refused(scored: dict[str, Evaluation], root: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -158,12 +159,16 @@ def test_the_verb(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "a rollout" in capsys.readouterr().err
 
 
-def test_the_report_shows_figures_and_the_worst_rollouts(runs: Path, tmp_path: Path) -> None:
+def test_the_report_leads_with_the_best_median_and_worst_rollouts(runs: Path, tmp_path: Path) -> None:
     assert main(["evaluate", str(runs), "--report", "--out", str(tmp_path / "out")]) == 0
     page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("<svg") == 4 and page.count("<circle") == 2
+    titles = re.findall(r"<figcaption>(\w+): [^<]*EPDMS ([\d.]+)</figcaption>", page)
+    assert [name for name, _ in titles] == ["best", "best", "median", "median", "worst", "worst"]
+    scores = [float(score) for _, score in titles]
+    assert scores == sorted(scores, reverse=True) and scores[0] > scores[-1]
+    assert page.count("<svg") == 6 and page.count("<circle") == 2
+    assert page.rindex("<svg") < page.index("<h2>Figures</h2>") < page.index("<h2>Rollouts</h2>")
     assert "12</b><span>rollouts of 6 scenarios" in page and "2</b><span>with a collision" in page
-    assert page.index("scenario0, seed") < page.index("scenario1, seed")
     assert "By scenario" in page and "http" not in page.replace("http-equiv", "")
     assert page.count("<tr>") >= 12 + 6
 

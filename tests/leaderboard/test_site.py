@@ -17,7 +17,7 @@ from mirror.errors import DatasetError, ExitCode
 from mirror.schema.files import write_json
 from mirror_leaderboard.boards import make_boards
 from mirror_leaderboard.command import PAPERS
-from mirror_leaderboard.entry import IMAGE_FOLDER, load_entries
+from mirror_leaderboard.entry import IMAGE_FOLDER, Reported, load_entries
 from mirror_leaderboard.site.page import build, build_site
 from tests.leaderboard.browser import Browser
 from tests.leaderboard.conftest import MEASURED, REPORTED, REPOSITORY, measured
@@ -164,6 +164,17 @@ def test_each_dataset_has_a_plot_of_its_own(tmp_path: Path) -> None:
     assert [panel.count('<figure class="plot">') for panel in panels.values()] == [1, 1, 1]
     assert (named["one"], named["two"]) == ({"a", "b"}, {"c"})
     assert "HybridWorldSim" in named["MIRROR"] and not named["MIRROR"] & {"a", "b", "c"}
+
+
+def test_papers_that_do_not_name_their_data_share_no_plot(tmp_path: Path) -> None:
+    entries = [one for one in load_entries(REPORTED) if isinstance(one, Reported)]
+    unnamed = [one.model_copy(update={"dataset": None}) for one in entries]
+    assert "<svg" in build_site(unnamed, [], tmp_path / "one").read_text()
+    other = [
+        one.model_copy(update={"paper": one.paper.model_copy(update={"title": "Another"}), "method": "other"})
+        for one in unnamed
+    ]
+    assert "<svg" not in build_site([*unnamed, *other], [], tmp_path / "two").read_text()
 
 
 def test_rows_of_papers_are_shown_by_option(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Final
 
 from mirror.counting import count_of
 from mirror.errors import DatasetError
+from mirror.evaluation.report_tables import group_title
 from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.images.bootstrap import CONFIDENCE
 from mirror.pages.rendering import content_policy, read_script, render_page
@@ -21,7 +22,7 @@ from mirror_leaderboard.ranks import BoardRanks
 from mirror_leaderboard.site.downloads import csv_file, encode_board, encode_entry, encode_ranks, entry_file, rank_file
 from mirror_leaderboard.site.plot import time_quality_plot
 from mirror_leaderboard.site.slider import board_slider, image_files
-from mirror_leaderboard.site.tables import board_tables, group_title
+from mirror_leaderboard.site.tables import board_tables
 from mirror_leaderboard.trust import require_trusted
 
 _TITLE: Final = "MIRROR leaderboard"

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from mirror.evaluation.report_tables import group_title
 from mirror.metrics.catalogue import MEASURES
 from mirror_leaderboard.boards import Board, Column, find_value, seconds_per_image
-from mirror_leaderboard.entry import Entry
-from mirror_leaderboard.site.tables import group_title
+from mirror_leaderboard.entry import Entry, Reported
 
 _WIDTH, _HEIGHT = 640, 340
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 30, 14, 54
@@ -32,7 +32,8 @@ class _Point:
 def time_quality_plot(board: Board, entries: Sequence[Entry]) -> dict[str, object] | None:
     """Place the methods of a board on a plot; None if no method has both a render time and a value.
 
-    Values of different data are not comparable: each board has a plot of its own.
+    Values of different data are not comparable: each board has a plot of its own, and there is none for several papers
+    that do not name their data.
 
     Args:
         board: the board.
@@ -40,7 +41,8 @@ def time_quality_plot(board: Board, entries: Sequence[Entry]) -> dict[str, objec
     """
     column = board.ranked_by
     points = _list_points(board, column, entries)
-    if not points:
+    papers = {entry.paper.title for entry in board.entries if isinstance(entry, Reported) and entry.dataset is None}
+    if not points or len(papers) > 1:
         return None
     measure = MEASURES[column[1]]
     head = f"{group_title(column[0])}: {measure.head} {measure.arrow}"

@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, groupby
 from math import ceil
 from typing import Final
 
+from mirror.evaluation.report_tables import group_title
 from mirror.metrics.catalogue import MEASURES, Measure
 from mirror_leaderboard.boards import FLOOR, FLOOR_OF_EDITS, Board, Column, find_figure
 from mirror_leaderboard.entry import Entry, Figure, Measured
 from mirror_leaderboard.ranks import Rank
 from mirror_leaderboard.site.downloads import entry_file
-
-_SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
-_GROUPS: Final = {
-    "training": "Training traversals",
-    "novel": "Novel traversals",
-    "all": "All",
-    "reported": "Stated",
-    "measured": "Measured here",
-}
-
 
 _FORGEABLE: Final = (
     "not proof against forgery: a copy of the recording has the best distance of sets, a flat patch the best overlap"
@@ -178,14 +168,6 @@ def _arrange_table(board: Board, part: Sequence[Column], notes: dict[str, int], 
     return BoardTable(
         caption, board.ranks is not None, groups, [_arrange_head(column, board, notes) for column in part], rows
     )
-
-
-def group_title(group: str) -> str:
-    """Return the title of a group on the page."""
-    shift = _SHIFT.fullmatch(group)
-    if shift is not None:
-        return " ".join(filter(None, (shift[2], "m", shift[1])))
-    return _GROUPS.get(group, group.replace("-", " "))
 
 
 def _arrange_head(column: Column, board: Board, notes: dict[str, int]) -> ColumnHead:

@@ -31,13 +31,14 @@ import subprocess
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Lock
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from benchmarks.mutants.mutations import Mutant, compiles, mutant_name, mutants
 from benchmarks.mutants.selection import (
@@ -53,6 +54,7 @@ from benchmarks.report import OUT
 from mirror.errors import ExitCode
 from mirror.schema.json_lines import append_line, decode_object, read_lines
 
+_One = TypeVar("_One")
 ROOT: Final = Path(__file__).resolve().parents[2]
 ROOMS: Final = {
     "mirror/geometry": ("tests/geometry",),
@@ -150,22 +152,22 @@ class _Worker:
 
     def __init__(self, state: Path, number: int) -> None:
         self.tree = state / f"work{number}"
-        self._files = state / f"files{number}"
+        self.files = state / f"files{number}"
         self._server: subprocess.Popen[str] | None = None
 
     def run(self, tree: Path, words: Sequence[str], plan: Mapping[str, Any], wall_s: float) -> tuple[int, float, str]:
         """Run pytest in a tree; return its exit code, its processor time, and what it printed."""
-        shutil.rmtree(self._files, ignore_errors=True)
-        (self._files / "tmp").mkdir(parents=True)
-        (self._files / "plan.json").write_text(json.dumps(plan))
+        shutil.rmtree(self.files, ignore_errors=True)
+        (self.files / "tmp").mkdir(parents=True)
+        (self.files / "plan.json").write_text(json.dumps(plan))
         environment = {
             "PYTHONPATH": os.pathsep.join(map(str, (tree, tree / "baselines", tree / "leaderboard"))),
-            "MIRROR_MUTANTS": str(self._files / "plan.json"),
+            "MIRROR_MUTANTS": str(self.files / "plan.json"),
             "MIRROR_REAL_DATA": str(tree / "real_data"),
-            "HYPOTHESIS_STORAGE_DIRECTORY": str(self._files / "hypothesis"),
-            "TMPDIR": str(self._files / "tmp"),
+            "HYPOTHESIS_STORAGE_DIRECTORY": str(self.files / "hypothesis"),
+            "TMPDIR": str(self.files / "tmp"),
         }
-        output = self._files / "output.txt"
+        output = self.files / "output.txt"
         request = {
             "tree": str(tree), "environment": environment, "output": str(output), "wall_s": wall_s,
             "words": [*_WORDS, *words],
@@ -189,7 +191,9 @@ class _Run:
     def __init__(self, state: Path, outcomes: dict[str, Any], workers: int, first_s: float) -> None:
         self._state, self._clean, self._record = state, state / "clean", state / "tests.json"
         self._outcomes, self._first_s = outcomes, first_s
-        self._workers = [_Worker(state, number) for number in range(workers)]
+        self._free: SimpleQueue[_Worker] = SimpleQueue()
+        for number in range(workers):
+            self._free.put(_Worker(state, number))
         self._lock = Lock()
         self._texts: dict[str, str] = {}
         self._tests: dict[str, list[RecordedTest]] = {}
@@ -208,20 +212,37 @@ class _Run:
         self._importers = find_importers(self._texts)
         self._copy(files)
         recorded = json.loads(self._record.read_bytes()) if self._record.exists() else {}
-        for folder in sorted({folder for folders in ROOMS.values() for folder in folders}):
+
+        def record(folder: str) -> None:
             found = [name for name in self._texts if name.startswith(f"{folder}/") and "/test_" in name]
             stale = [name for name in found if not self._is_current(name, recorded.get(name))]
-            if stale:
-                recorded |= self._run_clean(stale)
+            fresh = self._run_clean(stale) if stale else {}
+            with self._lock:
+                recorded.update(fresh)
                 self._record.write_text(json.dumps(recorded))
-            lines = [line for name in found for line in recorded[name]["tests"]]
-            self._tests[folder] = [RecordedTest.of(line) for line in lines if not line["failed"]]
-            self._at_import |= {call for line in lines for call in line["imports"]}
+                lines = [line for name in found for line in recorded[name]["tests"]]
+                self._tests[folder] = [RecordedTest.of(line) for line in lines if not line["failed"]]
+                self._at_import.update(call for line in lines for call in line["imports"])
+
+        self._each(record, sorted({folder for folders in ROOMS.values() for folder in folders}))
+
+    def _each(self, do: Callable[[_One], None], some: Iterable[_One]) -> None:
+        """Do something for each of some things, as many at once as there are workers."""
+        with ThreadPoolExecutor(self._free.qsize()) as pool:
+            list(pool.map(do, some))
 
     def end(self) -> None:
         """End the workers' processes."""
-        for worker in self._workers:
-            worker.end()
+        while not self._free.empty():
+            self._free.get().end()
+
+    @contextmanager
+    def _worker(self) -> Iterator[_Worker]:
+        worker = self._free.get()
+        try:
+            yield worker
+        finally:
+            self._free.put(worker)
 
     def _copy(self, files: Mapping[str, bytes]) -> None:
         """Update the copy; unchanged files keep their compiled kernels."""
@@ -268,31 +289,24 @@ class _Run:
         return found
 
     def _record_tests(self, tests: Sequence[str]) -> list[dict[str, Any]]:
-        out = self._state / "recorded.jsonl"
-        out.unlink(missing_ok=True)
-        code, cpu_s, output = self._workers[0].run(self._clean, tests, {"record": str(out)}, _CLEAN_WALL_S)
+        with self._worker() as worker:
+            out = worker.files / "recorded.jsonl"
+            code, cpu_s, output = worker.run(self._clean, tests, {"record": str(out)}, _CLEAN_WALL_S)
+            lines = list(read_lines(out, decode_object))
         if code not in (_PASSED, _FAILED, _NO_TESTS):
             raise RuntimeError(f"pytest ends with {code} without a mutant:\n{output[-3000:]}")
-        lines = list(read_lines(out, decode_object))
         print(f"recorded {len(lines)} tests of {len(tests)} files, {cpu_s:.0f} s", flush=True)
         return lines
 
     def try_mutants(self, some: Sequence[Mutant], hours: float, *, rest: bool) -> None:
         """Run the likeliest tests, or the rest, against mutants, until the outcomes together took some hours."""
-        free: SimpleQueue[_Worker] = SimpleQueue()
-        for worker in self._workers:
-            free.put(worker)
 
         def attempt(mutant: Mutant) -> None:
             if self.hours() < hours:
-                worker = free.get()
-                try:
+                with self._worker() as worker:
                     self._try_mutant(worker, mutant, rest=rest)
-                finally:
-                    free.put(worker)
 
-        with ThreadPoolExecutor(len(self._workers)) as pool:
-            list(pool.map(attempt, some))
+        self._each(attempt, some)
 
     def _try_mutant(self, worker: _Worker, mutant: Mutant, *, rest: bool) -> None:
         room = next(room for room in ROOMS if mutant.file.startswith(f"{room}/"))

@@ -23,6 +23,7 @@ from mirror.geometry.poses import Poses
 from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.views import plan_views
 from mirror_baselines.nearest_frame import APPEARANCE, METHOD, METRES_PER_RADIAN, find_nearest, render
+from mirror_baselines.nearest_frame.matching import PAIRS_AT_ONCE
 from tests.builders.lanes import CAMERAS, DRIVES, FRAMES
 
 COLOURS = {name: np.array(colour) for name, _, _, colour, _ in DRIVES}
@@ -56,12 +57,13 @@ def test_nearest_pose_matches_the_definition(seed: int, wanted: int, there: int,
     assert find_nearest(*moved).tolist() == expected
 
 
-def test_nearest_pose_is_the_same_in_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nearest_pose_is_the_same_in_chunks() -> None:
     generator = np.random.default_rng(3)
-    ours, theirs = random_poses(generator, 50), random_poses(generator, 40)
-    whole = find_nearest(ours, theirs)
-    monkeypatch.setattr("mirror_baselines.nearest_frame.matching.PAIRS_AT_ONCE", 7)
-    assert find_nearest(ours, theirs).tolist() == whole.tolist()
+    ours, theirs = random_poses(generator, 2500), random_poses(generator, 2000)
+    parts = [Poses(ours.rotation[rows], ours.translation[rows]) for rows in (slice(0, 1000), slice(1000, None))]
+    assert all(len(part) * len(theirs) < PAIRS_AT_ONCE < len(ours) * len(theirs) for part in parts)
+    found = np.concatenate([find_nearest(part, theirs) for part in parts])
+    assert find_nearest(ours, theirs).tolist() == found.tolist()
 
 
 def test_ties_take_the_first_and_no_queries_give_no_rows() -> None:

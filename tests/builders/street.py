@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -48,6 +49,7 @@ def make_street(
     speed_mps: float = 10.0,
     frame: str | None = None,
     longitude_deg: float = -79.4,
+    encode: Callable[[str, int], bytes] = encoded,
 ) -> Dataset:
     """Two traversals with 5 frames, on two drives; the first has boxes, masks and points.
 
@@ -58,7 +60,7 @@ def make_street(
         {"frame": frame, "x_m": 5000.0, "y_m": 2000.0} if frame else {"height_m": 30.0, "longitude_deg": longitude_deg}
     )
     builder.scene("a", **more)
-    images = [{name: encoded(name, drive) for name in cameras} for drive in range(2)]
+    images = [{name: encode(name, drive) for name in cameras} for drive in range(2)]
     (first,) = builder.drive("d0", [Pass("a", images=images[0], speed_mps=speed_mps)])
     later = EPOCH + 86_400 * SECOND
     night = Pass("a", entry_ns=later, images=images[1], speed_mps=speed_mps, offset_m=2.0, light="night")

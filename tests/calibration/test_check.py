@@ -92,12 +92,16 @@ def test_a_standing_vehicle_is_not_checked(check: CalibrationCheck) -> None:
     assert check.statistics.samples == 1
 
 
-def test_an_interrupted_check_continues(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_check_continues(dataset: Dataset, tmp_path: Path) -> None:
     first = check_calibration(dataset, choice=CHOICE, work=tmp_path)
     files = sorted(tmp_path.iterdir())
     assert len(files) == 2
-    monkeypatch.setattr("mirror.calibration.check.track_traversal", None)
-    assert check_calibration(dataset, choice=CHOICE, work=tmp_path).traversals == first.traversals
+    # A number that no images give shows that what the files say is taken.
+    for file in files:
+        document = json.loads(file.read_text())
+        file.write_text(json.dumps(document | {"driven_m": document["driven_m"] + 1000.0}))
+    expected = [replace(one, driven_m=one.driven_m + 1000.0) for one in first.traversals]
+    assert check_calibration(dataset, choice=CHOICE, work=tmp_path).traversals == expected
     # Other settings have other files.
     other = check_calibration(dataset.where(traversal=dataset.traversals()[1]), choice=FrameChoice(), work=tmp_path)
     assert other.traversals[0].status == "not checked"

@@ -21,7 +21,7 @@ from mirror.errors import DatasetError, ExitCode
 from mirror.geometry import Poses, matrix_from_quaternion
 from tests.builders.dataset import Builder, Pass
 from tests.calibration.corridor import LENS, NOMINAL, corridor, padded
-from tests.interruption import interrupt_before
+from tests.interruption import InterruptingProgress, interrupt_before
 from tests.other_bytes import give_other_bytes
 
 CAMERAS = ("front_wide", "front_narrow", "rear")
@@ -215,18 +215,17 @@ def test_a_scene_without_matches_is_not_refined(made: Path, tmp_path: Path) -> N
     assert not list(root.glob("traversals/*/layers/calibrations/refined*"))
 
 
-def test_features_of_other_bytes_are_found_again(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_features_of_other_bytes_are_found_again(made: Path, tmp_path: Path) -> None:
     root = tmp_path / "ds"
     shutil.copytree(made, root)
 
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
+    def find_features() -> None:
+        """End where matches follow."""
+        with pytest.raises(KeyboardInterrupt):
+            refine_calibrations(mirror.open(root), choice=CHOICE, progress=InterruptingProgress(0, phases=1))
 
-    monkeypatch.setattr("mirror.calibration.refinement.run.choose_pairs", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        refine_calibrations(mirror.open(root), choice=CHOICE)
+    find_features()
     before = set(root.glob(".refine/*/*.npz"))
     give_other_bytes(root, mirror.open(root).frames()[3].images["front_wide"])
-    with pytest.raises(KeyboardInterrupt):
-        refine_calibrations(mirror.open(root), choice=CHOICE)
+    find_features()
     assert len(set(root.glob(".refine/*/*.npz")) - before) == 1

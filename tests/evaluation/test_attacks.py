@@ -12,12 +12,11 @@ import pytest
 import mirror
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation import run
 from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.manifest import MANIFEST, Appearance
 from mirror.evaluation.submission.untrusted import open_untrusted
-from mirror.evaluation.workers import ScoringOutcome
+from mirror.progress import NullProgress
 from mirror.protocols.document import load_protocol
 from mirror.protocols.png import encode_png
 from mirror.protocols.views import RenderView, plan_views
@@ -75,24 +74,24 @@ def test_fitted_appearance_is_refused_where_the_protocol_has_no_part_for_it(
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_swapping_a_render_after_the_check_is_found(
-    root: Path, dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int
-) -> None:
+def test_swapping_a_render_after_the_check_is_found(root: Path, dataset: Dataset, tmp_path: Path, workers: int) -> None:
     """Before: the result had the hash of the first render and the score of the second. After: a problem, no result."""
     protocol = small()
     plan = write_renders(dataset, protocol, tmp_path / "s", lambda view, truth: truth // 2)
     swapped = plan.views[3]
     better = tmp_path / "better.png"
     better.write_bytes(encode_png(np.full((swapped.height_px, swapped.width_px, 3), 99, np.uint8)))
-    score_jobs = run.score_jobs
 
-    def swap_first(*args: object, **options: object) -> ScoringOutcome:
-        better.replace(tmp_path / "s" / swapped.path)
-        return score_jobs(*args, **options)  # type: ignore[arg-type]
+    class Swapping(NullProgress):
+        """Swaps the render when the check is over and scores begin."""
 
-    monkeypatch.setattr(run, "score_jobs", swap_first)
+        def start(self, phase: str, total: int) -> None:
+            if phase == "scoring":
+                better.replace(tmp_path / "s" / swapped.path)
+
     options = EvaluationOptions(workers=workers)
-    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", options)
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", options, Swapping())
+    assert not better.exists()
     assert done.result is None
     assert [problem.path for problem in done.check.problems] == [swapped.path]
     assert "changed while" in done.check.problems[0].message

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mirror
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, UsageError
@@ -36,10 +38,10 @@ from mirror.protocols.truth.hidden import HIDDEN, HiddenDocument, make_hidden_do
 from mirror.protocols.views import RenderView, plan_views
 from mirror.protocols.views.edited_region import target_hull
 from mirror.schema.files import read_json, write_json
-from mirror.synth import hidden_truth as synthetic
 from mirror.synth.hidden_truth import write_hidden_truth
 from tests.evaluation.colours import Colours
 from tests.evaluation.submissions import SPLIT, small, write_renders
+from tests.other_bytes import give_other_bytes
 
 ALONE = EvaluationOptions(workers=1)
 SHIFTS = "".join(
@@ -84,15 +86,17 @@ def test_hidden_truth_of_another_street_is_refused(dataset: Dataset, preset: str
     assert not (tmp_path / "hidden").exists()
 
 
-def test_hidden_truth_with_another_appearance_is_refused(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hidden_truth_with_another_appearance_is_refused(dataset: Dataset, tmp_path: Path) -> None:
     """Another preset can have the same drives and timestamps: the check compares the images."""
-    render = synthetic.render_view
-    monkeypatch.setattr(synthetic, "render_view", lambda *words: np.flip(render(*words), axis=1))
-    plan = plan_views(dataset, small(task="lane-shift", groups=SHIFTS, every=12), SPLIT)
+    root = tmp_path / "dataset"
+    # Images get other bytes by replacing files, so that links will do.
+    shutil.copytree(dataset.root, root, copy_function=os.link)
+    for frame in mirror.open(root).frames():
+        for image in frame.images.values():
+            give_other_bytes(root, image)
+    plan = plan_views(mirror.open(root), small(task="lane-shift", groups=SHIFTS, every=12), SPLIT)
     with pytest.raises(DatasetError, match=r"is not what was recorded \(\d+\.\d dB\)"):
-        write_hidden_truth(dataset, plan, "tiny", 0, tmp_path / "hidden")
+        write_hidden_truth(mirror.open(root), plan, "tiny", 0, tmp_path / "hidden")
 
 
 def test_hidden_truth_is_required_and_its_errors_are_not_the_submissions(

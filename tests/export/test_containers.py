@@ -20,7 +20,7 @@ from mirror.dataset.index.build import build_index
 from mirror.errors import UsageError
 from mirror.export.episode_times import split_at_gaps
 from mirror.export.run import ExportOptions, export
-from mirror.export.scene import ExportImage, select_scene
+from mirror.export.scene import select_scene
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_exp
@@ -163,20 +163,19 @@ def test_frames_without_a_camera_are_left_out_of_lerobot(street: Dataset, tmp_pa
 
 
 def test_a_camera_with_images_of_two_sizes_is_refused_before_anything_is_written(
-    street: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
-    real = ExportImage.lens.fget
-    assert real is not None
-
-    def lens(item: ExportImage) -> Camera:
-        found: Camera = real(item)
-        return (
-            found.scaled(0.5) if item.image.camera == "rear" and item.frame.traversal_id.startswith("a.d1") else found
-        )
-
-    monkeypatch.setattr(ExportImage, "lens", property(lens))
+    lenses = {name: LENSES[name] for name in ("front_wide", "rear")}
+    builder = Builder(tmp_path / "dataset", tuple(lenses), lenses=lenses)
+    builder.scene("a", height_m=30.0)
+    for drive_id, scale in (("d0", 1.0), ("d1", 0.5)):
+        builder.lenses = lenses | {"rear": lenses["rear"].scaled(scale)}
+        pixels = {name: np.zeros((lens.height_px, lens.width_px, 3), np.uint8) for name, lens in builder.lenses.items()}
+        images = {name: cv2.imencode(".jpg", array)[1].tobytes() for name, array in pixels.items()}
+        builder.drive(drive_id, [Pass("a", images=images)])
+    build_index(builder.root)
     with pytest.raises(UsageError, match="images of 2 sizes") as caught:
-        export(street, "lerobot", tmp_path / "out")
+        export(mirror.open(builder.root), "lerobot", tmp_path / "out")
     assert caught.value.place == "camera rear" and "--traversal" in str(caught.value.remedy)
     assert not (tmp_path / "out").exists()
 

@@ -185,7 +185,7 @@ def test_a_dataset_without_points_is_warned_of(street: Dataset, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("where", ["exif", "xmp"])
-def test_exports_state_no_orientation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+def test_exports_state_no_orientation(tmp_path: Path, where: str) -> None:
     """Rasters are those of the calibration; Pillow turns an image by its orientation, as many tools do."""
     exif = Image.Exif()
     exif[0x0112] = 6
@@ -196,8 +196,7 @@ def test_exports_state_no_orientation(tmp_path: Path, monkeypatch: pytest.Monkey
         Image.open(io.BytesIO(encoded(camera, drive))).save(data, "jpeg", **more)
         return data.getvalue()
 
-    monkeypatch.setattr("tests.builders.street.encoded", turned)
-    street = make_street(tmp_path / "dataset", CAMERAS)
+    street = make_street(tmp_path / "dataset", CAMERAS, encode=turned)
     assert ImageOps.exif_transpose(Image.open(io.BytesIO(turned("front_wide", 0)))).size == (128, 192)
     for name in ("colmap", "webdataset"):
         export(street, name, tmp_path / name)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import save_file
 
 import mirror
@@ -204,9 +205,15 @@ def test_a_clip_has_the_lines_of_the_map_near_its_frames(tiny_dataset: Dataset, 
 
 
 def test_a_wrong_edit_is_named_before_the_generator_is_read(
-    tiny_dataset: Dataset, models: Path, traversal: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny_dataset: Dataset, models: Path, traversal: str, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(GeneratorFiles, "open", lambda *_: pytest.fail("the generator is read"))
+    # Files that say what they are and have no tensors.
+    for part in ("generator", "autoencoder"):
+        with safe_open(models / part / "model.safetensors", framework="pt") as file:
+            said = file.metadata()
+        (tmp_path / "empty" / part).mkdir(parents=True)
+        save_file({}, tmp_path / "empty" / part / "model.safetensors", metadata=said)
+    models = tmp_path / "empty"
     with pytest.raises(UsageError, match="no track 'nobody'"):
         wrong = request(models, tiny_dataset, traversal, edits=("remove:nobody",))
         generate_scene(tiny_dataset, wrong, tmp_path / "out")
@@ -214,6 +221,8 @@ def test_a_wrong_edit_is_named_before_the_generator_is_read(
     with pytest.raises(UsageError) as caught:
         generate_scene(tiny_dataset, request(models, tiny_dataset, traversal), tmp_path)
     assert caught.value.place == "--out"
+    with pytest.raises(DatasetError, match=r"empty/.*model\.safetensors"):
+        generate_scene(tiny_dataset, request(models, tiny_dataset, traversal), tmp_path / "out")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from mirror.errors import UsageError
 from mirror.geometry import (
     angle_between_deg,
-    blocks,
     heading_deg,
     matrix_from_quaternion,
     quaternion_exp,
@@ -25,6 +24,7 @@ from mirror.geometry import (
     rotate,
     slerp,
 )
+from mirror.geometry.blocks import BLOCK_VALUES
 
 EPS = np.finfo(np.float64).eps
 
@@ -190,19 +190,22 @@ def test_points_that_are_not_finite_stay_so() -> None:
     assert not np.isfinite(turned[1]).all()
 
 
-def test_blocks_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    a, b = random_rotations(3000), random_rotations(3000, 1)
-    share = np.random.default_rng(2).random(3000)
-    points = np.random.default_rng(3).normal(size=(2, 3000, 3))
+def test_blocks_change_no_bit() -> None:
+    count, part = 30_000, 2_000
+    a, b = random_rotations(count), random_rotations(count, 1)
+    share = np.random.default_rng(2).random(count)
+    points = np.random.default_rng(3).normal(size=(2, count, 3))
 
-    def results() -> list[bytes]:
+    def results(rows: slice) -> list[np.ndarray]:
         return [
-            quaternion_multiply(a, b).tobytes(),
-            slerp(a, b, share).tobytes(),
-            rotate(a, points).tobytes(),
-            rotate(a[:2, None], points).tobytes(),
+            quaternion_multiply(a[rows], b[rows]),
+            slerp(a[rows], b[rows], share[rows]),
+            rotate(a[rows], points[:, rows]),
+            rotate(a[:2, None], points[:, rows]),
         ]
 
-    whole = results()
-    monkeypatch.setattr(blocks, "BLOCK_VALUES", 1000)
-    assert results() == whole
+    # Each part is less than a block.
+    parts = [results(slice(first, first + part)) for first in range(0, count, part)]
+    for whole, *pieces in zip(results(slice(None)), *parts, strict=True):
+        assert pieces[0].size < BLOCK_VALUES < whole.size / 2
+        assert np.concatenate(pieces, axis=-2).tobytes() == whole.tobytes()

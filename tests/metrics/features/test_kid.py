@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from mirror.errors import UsageError
-from mirror.metrics.features import kid as module
-from mirror.metrics.features.kid import kid
+from mirror.metrics.features.kid import LARGEST_WHOLE, kid
 
 
 def exact(x, y):
@@ -54,7 +53,7 @@ def test_the_interval_covers_the_truth():
     assert held >= 33
 
 
-def test_seed_and_paths(monkeypatch):
+def test_seed():
     draw = np.random.default_rng(3)
     x, y = draw.standard_normal((60, 16)), draw.standard_normal((80, 16)) + 0.2
     one = kid(x, y, seed=5)
@@ -62,8 +61,18 @@ def test_seed_and_paths(monkeypatch):
     assert one.value != kid(x, y, seed=6).value
     assert one.subset_size == 30
     assert one.n == (60, 80)
-    monkeypatch.setattr(module, "LARGEST_WHOLE", 10)
-    assert kid(x, y, seed=5).value == pytest.approx(one.value, rel=1e-12)
+
+
+@pytest.mark.parametrize("count", [LARGEST_WHOLE, LARGEST_WHOLE + 1])
+def test_a_set_too_large_for_one_matrix_has_the_distance_of_the_definition(count):
+    """Whichever of the equal features a subset draws: it is the same subset, and all of the others."""
+    draw = np.random.default_rng(3)
+    x, y = draw.standard_normal(16), draw.standard_normal((80, 16)) + 0.2
+    within = sum((y[i] @ y[j] / 16 + 1) ** 3 for i in range(80) for j in range(80) if i != j) / (80 * 79)
+    expected = (x @ x / 16 + 1) ** 3 + within - 2 * np.mean((y @ x / 16 + 1) ** 3)
+    found = kid(np.tile(x, (count, 1)), y, subsets=3, subset_size=80, seed=5)
+    assert found.value == pytest.approx(expected, rel=1e-12)
+    assert found.deviation == pytest.approx(0.0, abs=1e-12)
 
 
 def test_errors():

@@ -18,7 +18,7 @@ _COMMAND = "mirror recording new"
 _EXAMPLES = (
     "mirror recording new --poses track.csv --camera front_wide=drive.mp4 --lens front_wide=lens.yaml"
     " --mounting front_wide=1.5,0,1.4,0,0,0 --out recording",
-    "mirror recording new --poses track.gpx --camera front_wide=front --camera rear=rear --tz Europe/Berlin"
+    "mirror recording new --camera front_wide=phone.mp4 --drive-id monday --start front_wide=2026-03-01T10:00:00Z"
     " --out recording",
 )
 
@@ -31,10 +31,10 @@ class RecordingArguments:
     file system. What the track cannot give is said. Options of a camera have the form NAME=VALUE and are repeated.
     """
 
-    poses: Annotated[Path, help_text(metavar="FILE")]
-    """Track: CSV, GPX, NMEA or any other recording with poses."""
     out: Annotated[Path, help_text(metavar="RECORDING")]
     """Folder of the new recording, absent or empty."""
+    poses: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
+    """Track: CSV, GPX, NMEA or any other recording with poses. Without it `mirror poses` finds the poses."""
     camera: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=PATH")] = ()
     """Folder of JPEGs or PNGs, or a video, of a camera."""
     lens: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=FILE")] = ()
@@ -105,11 +105,15 @@ def _new(argv: Sequence[str]) -> int:
         )
         for name, path in paths.items()
     ]  # fmt: skip
-    with reader_errors(arguments.poses):
-        reader = find_reader(arguments.poses, arguments.reader)
-        zone = arguments.tz if reader.name == "csv" else None
-        options = reader_options(arguments.option, tz=zone, columns=arguments.columns)
-        poses = reader.open(arguments.poses, options)
+    if arguments.poses is None and arguments.drive_id is None:
+        raise UsageError("a recording without a track", place="--drive-id", expected="the id of the drive")
+    with reader_errors(arguments.poses or arguments.out):
+        poses = None
+        if arguments.poses is not None:
+            reader = find_reader(arguments.poses, arguments.reader)
+            zone = arguments.tz if reader.name == "csv" else None
+            options = reader_options(arguments.option, tz=zone, columns=arguments.columns)
+            poses = reader.open(arguments.poses, options)
         names = DriveNames(
             arguments.drive_id, arguments.vehicle_id, arguments.vehicle_type, arguments.rig_id,
             arguments.reference_camera, arguments.licence, arguments.city,
@@ -125,6 +129,9 @@ def _new(argv: Sequence[str]) -> int:
         console.print(note)
     images = ", ".join(f"{count} of {name}" for name, count in made.images.items())
     console.print(f"{arguments.out}: {made.poses} poses; images: {images}")
+    if poses is None:
+        console.print(f"next: mirror poses {arguments.out} --camera-height-m METRES --out POSED")
+        return ExitCode.DONE
     console.print(f"next: mirror rois propose {arguments.out} --min-traversals 1 --out rois.geojson")
     console.print(f"      mirror ingest {arguments.out} --rois rois.geojson --out DATASET")
     return ExitCode.DONE

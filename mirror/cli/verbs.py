@@ -17,6 +17,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "demo": ("data", "make a synthetic street, and run the verbs below on it"),
     "synth": ("data", "write recordings of a synthetic street"),
     "recording": ("data", "make a recording from a track and from images or videos"),
+    "poses": ("data", "find the poses of a recording in its images, by structure from motion"),
     "rois": ("data", "propose regions of interest from recordings"),
     "ingest": ("data", "recordings -> traversals: trigger, write, ledger"),
     "index": ("data", "rebuild the derived tables of a dataset"),

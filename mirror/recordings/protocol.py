@@ -44,6 +44,7 @@ class DriveInfo:
         licence: licence of the recording; None: the source does not state it.
         has_date: False: the stamps count from an arbitrary date, so the sun at that date says nothing about the light.
         has_motion: False: the stamps only number the poses, as those of unordered photos: no speed follows from them.
+        has_poses: False: the recording has images and no poses yet; `mirror poses` finds them.
         notes: choices that the reader made where the source left one open, in words; `mirror info` and `mirror ingest`
             print them.
     """
@@ -61,6 +62,7 @@ class DriveInfo:
     licence: str | None = None
     has_date: bool = True
     has_motion: bool = True
+    has_poses: bool = True
     notes: tuple[str, ...] = ()
 
 

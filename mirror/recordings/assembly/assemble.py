@@ -10,7 +10,8 @@ import io
 import json
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -24,13 +25,13 @@ from mirror.recordings.calibration import to_calibration
 from mirror.recordings.folder_document import DOCUMENT_NAME
 from mirror.recordings.folder_lens import write_calibrations
 from mirror.recordings.orientation import QUATERNION
-from mirror.recordings.protocol import Recording, Track, choose_reference_camera
+from mirror.recordings.protocol import DriveInfo, Recording, Track, choose_reference_camera
 from mirror.recordings.time import SECOND_NS
 from mirror.schema.documents import is_identifier
 from mirror.schema.files import TEMPORARY, unwritable_error, write_bytes
 
 _Item = TypeVar("_Item")
-_EXPOSURES: Final = ("exposure_start_ns", "exposure_end_ns")
+EXPOSURES: Final = ("exposure_start_ns", "exposure_end_ns")
 
 
 @dataclass(frozen=True)
@@ -72,13 +73,13 @@ class Assembly:
 
 
 def assemble_recording(
-    out: Path, poses: Recording, cameras: Sequence[GivenCamera], names: DriveNames, tz: str | None = None
+    out: Path, poses: Recording | None, cameras: Sequence[GivenCamera], names: DriveNames, tz: str | None = None
 ) -> Assembly:
     """Write a recording, which gets its name only when it is complete.
 
     Args:
         out: folder of the recording, absent or empty.
-        poses: any recording, whose track is taken.
+        poses: any recording, whose track is taken; None: the new recording has no poses, and `names` states a drive id.
         cameras: the cameras, one of which at least.
         names: ids.
         tz: IANA zone of times without an offset.
@@ -88,14 +89,33 @@ def assemble_recording(
         DatasetError: a file cannot be written.
     """
     track, prepared = _prepare(poses, cameras, names, tz)
-    document = _document(poses, prepared, names)
-    notes = [*poses.info.notes, *describe_track(track)]
+    document = _document(_drive_info(poses, names), prepared, names)
+    notes = [] if poses is None or track is None else [*poses.info.notes, *describe_track(track)]
     for camera in prepared:
         notes += _describe_camera(camera, track)
+    with unfinished_folder(out) as unfinished:
+        copied = _write(unfinished, track, prepared, document)
+    if copied:
+        notes.append(f"{copied} files were copied, because links to another file system are not possible")
+    return Assembly(
+        0 if track is None else len(track), {camera.name: len(camera.keys) for camera in prepared}, tuple(notes)
+    )
+
+
+@contextmanager
+def unfinished_folder(out: Path) -> Iterator[Path]:
+    """Make a folder beside ``out`` that gets its name in the end; after an error it is removed.
+
+    Args:
+        out: absent, or an empty folder.
+
+    Raises:
+        DatasetError: a file cannot be written.
+    """
     unfinished = out.absolute().with_name(f".{out.absolute().name}.{os.getpid()}{TEMPORARY}")
     try:
         unfinished.mkdir(parents=True)
-        copied = _write(unfinished, track, prepared, document)
+        yield unfinished
         if out.is_dir():
             out.rmdir()
         unfinished.replace(out)
@@ -103,15 +123,13 @@ def assemble_recording(
         raise unwritable_error(out, error) from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-    if copied:
-        notes.append(f"{copied} files were copied, because links to another file system are not possible")
-    return Assembly(len(track), {camera.name: len(camera.keys) for camera in prepared}, tuple(notes))
 
 
-def _write(out: Path, track: Track, cameras: Sequence[PreparedCamera], document: Mapping[str, Any]) -> int:
+def _write(out: Path, track: Track | None, cameras: Sequence[PreparedCamera], document: Mapping[str, Any]) -> int:
     """Write all files of a recording; the number of files that were copied."""
     copied = sum(_place_camera(out, camera) for camera in cameras)
-    write_bytes(out / "poses.csv", _encode_poses(track))
+    if track is not None:
+        write_bytes(out / "poses.csv", encode_poses(track))
     calibrations = [
         to_calibration(camera.name, camera.lens, camera.mounting, "lens file", time_offset_ns=camera.offset_ns)
         for camera in cameras
@@ -124,8 +142,8 @@ def _write(out: Path, track: Track, cameras: Sequence[PreparedCamera], document:
 
 
 def _prepare(
-    poses: Recording, cameras: Sequence[GivenCamera], names: DriveNames, tz: str | None
-) -> tuple[Track, list[PreparedCamera]]:
+    poses: Recording | None, cameras: Sequence[GivenCamera], names: DriveNames, tz: str | None
+) -> tuple[Track | None, list[PreparedCamera]]:
     """Read everything; all faults are collected before one error names them."""
     faults: list[MirrorError] = []
 
@@ -136,7 +154,7 @@ def _prepare(
             faults.append(error)
             return None
 
-    track = attempt(poses.track)
+    track = None if poses is None else attempt(poses.track)
     prepared = [attempt(lambda camera=camera: prepare_camera(camera, tz)) for camera in cameras]  # type: ignore[misc]
     if not cameras:
         faults.append(RecordingError("no camera", place="--camera", remedy="add --camera NAME=FOLDER or NAME=VIDEO"))
@@ -163,7 +181,7 @@ def _prepare(
             attempt(lambda camera=camera: _require_overlap(camera, track))  # type: ignore[misc]
     if len(faults) == 1:
         raise faults[0]
-    if faults or track is None:
+    if faults:
         listed = "".join(f"\n  {number}. {fault}" for number, fault in enumerate(faults, 1))
         raise RecordingError(f"{len(faults)} faults:{listed}")
     return track, ready
@@ -193,8 +211,9 @@ def _utc(stamp_ns: int) -> str:
     return f"{np.datetime64(stamp_ns, 'ns').astype('datetime64[ms]')} UTC"
 
 
-def _describe_camera(camera: PreparedCamera, track: Track) -> list[str]:
-    inside, count = _inside(camera, track), len(camera.keys)
+def _describe_camera(camera: PreparedCamera, track: Track | None) -> list[str]:
+    count = len(camera.keys)
+    inside = count if track is None else _inside(camera, track)
     notes = [f"camera {camera.name}: times from {camera.source}"]
     if inside < count:
         notes.append(f"camera {camera.name}: {count - inside} of {count} images lie before or after the track")
@@ -205,8 +224,15 @@ def _describe_camera(camera: PreparedCamera, track: Track) -> list[str]:
     return notes
 
 
-def _document(poses: Recording, cameras: Sequence[PreparedCamera], names: DriveNames) -> dict[str, Any]:
-    info = poses.info
+def _drive_info(poses: Recording | None, names: DriveNames) -> DriveInfo:
+    """Return what the recording of the poses says of the drive; without it the names, and a frame of its own."""
+    if poses is not None:
+        return poses.info
+    drive = names.drive_id or "drive"
+    return DriveInfo(drive, "unknown", "unknown", "unix_ns", frame=drive)
+
+
+def _document(info: DriveInfo, cameras: Sequence[PreparedCamera], names: DriveNames) -> dict[str, Any]:
     vehicle = names.vehicle_id or info.vehicle_id
     reference = names.reference_camera or choose_reference_camera([camera.name for camera in cameras])
     document: dict[str, Any] = {
@@ -243,23 +269,23 @@ def _place_camera(out: Path, camera: PreparedCamera) -> int:
     if camera.is_video:
         target = out / "videos" / f"{camera.name}{camera.path.suffix.lower()}"
         target.parent.mkdir(exist_ok=True)
-        copied = int(_place(camera.path, target))
+        copied = int(place_file(camera.path, target))
         table, key = target.with_suffix(".csv"), "pts"
     else:
         folder = out / "images" / camera.name
         folder.mkdir(parents=True, exist_ok=True)
-        copied = sum(_place(camera.path / name, folder / name) for name in camera.keys)
+        copied = sum(place_file(camera.path / name, folder / name) for name in camera.keys)
         table, key = out / "images" / f"{camera.name}.csv", "file"
     if camera.static_mask is not None:
         mask = out / _mask_name(camera)
         mask.parent.mkdir(exist_ok=True)
-        copied += int(_place(camera.static_mask, mask))
+        copied += int(place_file(camera.static_mask, mask))
     rows = zip(camera.keys, camera.start_ns.tolist(), camera.end_ns.tolist())
-    write_bytes(table, _encode((key, *_EXPOSURES), rows))
+    write_bytes(table, encode_rows((key, *EXPOSURES), rows))
     return copied
 
 
-def _place(source: Path, target: Path) -> bool:
+def place_file(source: Path, target: Path) -> bool:
     """Link a file, or copy it where that is not possible; True: it was copied."""
     try:
         os.link(source.resolve(), target)
@@ -272,7 +298,8 @@ def _place(source: Path, target: Path) -> bool:
     return False
 
 
-def _encode_poses(track: Track) -> bytes:
+def encode_poses(track: Track) -> bytes:
+    """Return ``poses.csv`` of a track."""
     columns: dict[str, Any] = {"timestamp_ns": track.timestamp_ns.tolist()}
     if track.longitude_deg is not None and track.latitude_deg is not None:
         columns |= {"longitude_deg": track.longitude_deg, "latitude_deg": track.latitude_deg}
@@ -290,10 +317,11 @@ def _encode_poses(track: Track) -> bytes:
         values if name == "timestamp_ns" else ["" if np.isnan(value) else repr(float(value)) for value in values]
         for name, values in columns.items()
     ]
-    return _encode(tuple(columns), zip(*cells))
+    return encode_rows(tuple(columns), zip(*cells))
 
 
-def _encode(header: Sequence[str], rows: Any) -> bytes:
+def encode_rows(header: Sequence[str], rows: Any) -> bytes:
+    """Return a CSV file."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)

@@ -84,6 +84,7 @@ class FolderRecording:
             light=document.light,
             licence=document.licence,
             has_date=TIME_BASES[document.time_base].has_date,
+            has_poses=bool(self._found_pose_files),
         )
 
     @cached_property
@@ -108,20 +109,26 @@ class FolderRecording:
         return [file for file in list_files(self.path) if not file[0].startswith("truth/")]
 
     @cached_property
-    def _pose_files(self) -> list[Path]:
+    def _found_pose_files(self) -> tuple[list[Path], list[Path]] | None:
+        """The files of poses in the folder itself, and in its folder ``poses``; None: there are none."""
         single = [file for suffix in _TABLES if (file := find_file(self.path, f"poses{suffix}"))]
         folder = self.path / "poses"
         parts: list[Path] = []
         if folder.is_dir():
             listed = list_folder(self.path, folder)
             parts = [listed[name] for name in sorted(listed, key=natural_key) if Path(name).suffix in _TABLES]
+        return (single, parts) if single or parts else None
+
+    @cached_property
+    def _pose_files(self) -> list[Path]:
+        single, parts = self._found_pose_files or ([], [])
         if len(single) + bool(parts) != 1 or len({file.suffix for file in parts}) > 1:
             names = [file.relative_to(self.path).as_posix() for file in (*single, *parts[:3])]
             raise RecordingError(
                 f"poses in {', '.join(names)}" if names else "no poses",
                 file=self.path,
                 expected="one of poses.csv, poses.parquet, and a folder poses/ of files of one kind",
-                remedy="keep one of them" if names else "add the poses: a recording needs them",
+                remedy="keep one of them" if names else "add the poses; `mirror poses` finds those of a camera",
             )
         return single or parts
 

@@ -60,7 +60,7 @@ _DIGITS: Final = 6
 _HEADER_BYTES: Final = 2**16
 # A day: beyond it a number is no time within a sequence.
 _LONGEST_S: Final = 86_400.0
-_NO_POSES: Final = "name a sequence with poses (00 to 10), or put its poses there"
+_NO_POSES: Final = "name a sequence with poses (00 to 10), put its poses there, or find them with `mirror poses`"
 
 
 class KittiOdometryReader:
@@ -136,6 +136,7 @@ class KittiOdometryRecording:
             city="Karlsruhe",
             licence="CC BY-NC-SA 3.0",
             has_date=False,
+            has_poses=find_file(self.root, f"{_POSES}/{self.sequence}.txt") is not None,
         )
 
     @cached_property

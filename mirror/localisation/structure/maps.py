@@ -1,0 +1,225 @@
+"""Maps of used images by pycolmap's incremental mapper, from features and matches of ours.
+
+A known lens of any model becomes an ideal camera of the same focal length: its features are unprojected first. An
+unknown lens is one focal length and one radial coefficient (COLMAP's ``SIMPLE_RADIAL``), estimated with the map.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from mirror.arrays import Float64, Int64
+from mirror.calibration.refinement.features import ImageFeatures, match_features
+from mirror.geometry import Poses, quaternion_from_matrix
+from mirror.geometry.cameras import Camera
+from mirror.localisation.structure.used_images import UsedImages
+
+_WIDEST_DEG: Final = 72.0
+"""Features farther from the axis of a known lens are not used: an ideal camera magnifies them without bound."""
+_LEAST_MATCHES: Final = 20
+_FOCAL_GUESS: Final = 0.9
+"""Focal length of an unknown lens at the start, as a share of the width: 58 degrees."""
+_FARTHER: Final = (16, 24, 32)
+"""Further images that an image is matched with, by number: they bridge gaps."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageMap:
+    """One map: registered images and points, in a frame and scale of its own.
+
+    Attributes:
+        used: (F,) numbers of the registered images among the used ones, ascending.
+        world_SE3_camera: F poses.
+        points: (P, 3) points.
+        observed: for each registered image the points (K,) and the features (K,) that show them.
+        lens: the lens, estimated if it was unknown.
+        residual_px: mean distance of the features from the projections of their points.
+        reconstruction: pycolmap's own, to be adjusted further.
+    """
+
+    used: Int64
+    world_SE3_camera: Poses
+    points: Float64
+    observed: list[tuple[Int64, Int64]]
+    lens: Camera
+    residual_px: float
+    reconstruction: Any
+
+
+def map_images(
+    images: UsedImages,
+    lens: Camera | None,
+    neighbours: int,
+    near: Int64,
+    advance: Callable[[int], None],
+) -> tuple[list[ImageMap], int]:
+    """Match the images of a camera and map them.
+
+    Args:
+        images: the images.
+        lens: the lens; None: it is estimated.
+        neighbours: number of following images that an image is matched with.
+        near: (N, 2) further pairs of images to match, such as those that a track has near each other.
+        advance: is called with 1 after each image that was matched.
+
+    Returns:
+        The maps, the one with the most images first, each image in one map only; and the number of matched pairs.
+    """
+    import pycolmap
+
+    pycolmap.logging.minloglevel = 2
+    pycolmap.set_random_seed(0)
+    with tempfile.TemporaryDirectory(prefix="mirror-poses-") as folder:
+        database, kept, matched = _write_database(Path(folder) / "images.db", images, lens, neighbours, near, advance)
+        options = pycolmap.IncrementalPipelineOptions()
+        options.random_seed = 0
+        options.extract_colors = False
+        options.min_model_size = 3
+        options.ba_refine_focal_length = options.ba_refine_extra_params = lens is None
+        # A vehicle drives along the axis of its front camera: the angles between rays are small.
+        options.mapper.init_max_forward_motion = 1.0
+        options.mapper.init_min_tri_angle = 4.0
+        options.mapper.filter_min_tri_angle = options.triangulation.min_angle = 0.5
+        found = pycolmap.incremental_mapping(database, folder, folder, options)
+        maps, taken = [], set[int]()
+        for reconstruction in sorted(found.values(), key=lambda one: -one.num_reg_images()):
+            one = _read_map(reconstruction, images, lens, kept, taken)
+            if one is not None:
+                maps.append(one)
+                taken.update(one.used.tolist())
+    return maps, matched
+
+
+def ideal_camera(lens: Camera) -> Camera:
+    """Return the pinhole camera of a lens' focal length and raster, whose features `map_images` uses."""
+    focal = lens.fx_px
+    if lens.model == "f_theta":
+        # The pixels a radian about the axis.
+        ray = np.array([[np.tan(1e-3), 0.0, 1.0]])
+        focal = float((lens.project(ray).uv_px[0, 0] - lens.project(np.array([[0.0, 0.0, 1.0]])).uv_px[0, 0]) / 1e-3)
+    tall = lens.fy_px if lens.model != "f_theta" else focal
+    return Camera("pinhole", lens.width_px, lens.height_px, focal, tall, lens.cx_px, lens.cy_px)
+
+
+def _to_ideal(features: ImageFeatures, lens: Camera) -> tuple[Float64, Int64]:
+    """Return the positions (K, 2) of features in the ideal camera, and the features (K,) that it has."""
+    rays = lens.unproject(features.uv_px).direction
+    kept = np.flatnonzero(np.isfinite(rays).all(axis=1) & (rays[:, 2] > np.cos(np.radians(_WIDEST_DEG))))
+    return ideal_camera(lens).project(rays[kept]).uv_px, kept
+
+
+def _write_database(
+    file: Path, images: UsedImages, lens: Camera | None, neighbours: int, near: Int64, advance: Callable[[int], None]
+) -> tuple[Path, list[Int64], int]:
+    """Write features and verified matches; return the file, the features of each image in it, and the pairs."""
+    import pycolmap
+
+    camera = _to_pycolmap(images, lens)
+    database = pycolmap.Database.open(file)
+    camera.camera_id = database.write_camera(camera)
+    rig = pycolmap.Rig()
+    rig.add_ref_sensor(camera.sensor_id)
+    rig_id = database.write_rig(rig)
+    places, kept, ids = [], [], []
+    for number, features in enumerate(images.features):
+        uv, own = (features.uv_px, np.arange(len(features))) if lens is None else _to_ideal(features, lens)
+        image = pycolmap.Image(name=f"{number:08d}", camera_id=camera.camera_id)
+        image.image_id = database.write_image(image)
+        frame = pycolmap.Frame()
+        frame.rig_id = rig_id
+        frame.add_data_id(image.data_id)
+        database.write_frame(frame)
+        database.write_keypoints(image.image_id, uv.astype(np.float32))
+        places.append(uv)
+        kept.append(np.asarray(own, np.int64))
+        ids.append(image.image_id)
+    options, pairs = pycolmap.TwoViewGeometryOptions(), 0
+    options.ransac.random_seed = 0
+    for one, others in enumerate(_partners(len(images), neighbours, near)):
+        for other in others:
+            found = _match(images, kept, one, other)
+            if len(found) < _LEAST_MATCHES:
+                continue
+            geometry = pycolmap.estimate_two_view_geometry(camera, places[one], camera, places[other], found, options)
+            if len(geometry.inlier_matches) >= _LEAST_MATCHES:
+                database.write_matches(ids[one], ids[other], found)
+                database.write_two_view_geometry(ids[one], ids[other], geometry)
+                pairs += 1
+        advance(1)
+    database.close()
+    return file, kept, pairs
+
+
+def _partners(count: int, neighbours: int, near: Int64) -> list[list[int]]:
+    """Return the later images that each image is matched with."""
+    partners = []
+    for one in range(count):
+        own = set(range(one + 1, one + 1 + neighbours)) | {one + step for step in _FARTHER}
+        own |= set(near[near[:, 0] == one, 1].tolist()) | set(near[near[:, 1] == one, 0].tolist())
+        partners.append(sorted(other for other in own if one < other < count))
+    return partners
+
+
+def _match(images: UsedImages, kept: list[Int64], one: int, other: int) -> np.ndarray[Any, np.dtype[np.uint32]]:
+    found = match_features(_part(images.features[one], kept[one]), _part(images.features[other], kept[other]))
+    return found.astype(np.uint32)
+
+
+def _part(features: ImageFeatures, own: Int64) -> ImageFeatures:
+    return ImageFeatures(features.uv_px[own], features.scale_px[own], features.descriptors[own])
+
+
+def _to_pycolmap(images: UsedImages, lens: Camera | None) -> Any:
+    import pycolmap
+
+    size = {"width": images.width_px, "height": images.height_px}
+    if lens is None:
+        focal = _FOCAL_GUESS * max(images.width_px, images.height_px)
+        params = [focal, 0.5 * images.width_px, 0.5 * images.height_px, 0.0]
+        return pycolmap.Camera(model="SIMPLE_RADIAL", params=params, **size)
+    ideal = ideal_camera(lens)
+    params = [ideal.fx_px, ideal.fy_px, ideal.cx_px, ideal.cy_px]
+    return pycolmap.Camera(model="PINHOLE", params=params, has_prior_focal_length=True, **size)
+
+
+def _read_map(
+    reconstruction: Any, images: UsedImages, lens: Camera | None, kept: list[Int64], taken: set[int]
+) -> ImageMap | None:
+    """Return a map without the images that another map has; None: it has no others."""
+    registered = {int(one.name): one for one in reconstruction.images.values() if one.has_pose}
+    used = [number for number in sorted(registered) if number not in taken]
+    if not used:
+        return None
+    ids = sorted(reconstruction.points3D)
+    place = {number: row for row, number in enumerate(ids)}
+    observed = []
+    for number in used:
+        seen = [
+            (place[two.point3D_id], row) for row, two in enumerate(registered[number].points2D) if two.has_point3D()
+        ]
+        pairs = np.array(seen, np.int64).reshape(-1, 2)
+        observed.append((pairs[:, 0], kept[number][pairs[:, 1]]))
+    points = np.array([reconstruction.points3D[one].xyz for one in ids]).reshape(-1, 3)
+    (camera,) = reconstruction.cameras.values()
+    shown_lens, residual = lens or _estimated(camera, images), float(reconstruction.compute_mean_reprojection_error())
+    poses = read_poses(reconstruction, used)
+    return ImageMap(np.array(used, np.int64), poses, points, observed, shown_lens, residual, reconstruction)
+
+
+def read_poses(reconstruction: Any, used: list[int]) -> Poses:
+    """Return the poses ``world_SE3_camera`` of the images with these numbers."""
+    by_number = {int(one.name): one for one in reconstruction.images.values()}
+    back = [by_number[number].cam_from_world().inverse() for number in used]
+    turns = np.array([one.rotation.matrix() for one in back])
+    return Poses(quaternion_from_matrix(turns), np.array([one.translation for one in back]))
+
+
+def _estimated(camera: Any, images: UsedImages) -> Camera:
+    focal, x, y, k1 = (float(value) for value in camera.params)
+    return Camera("brown_conrady", images.width_px, images.height_px, focal, focal, x, y, (k1, 0.0, 0.0, 0.0, 0.0))

@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -32,6 +33,12 @@ class Arguments:
     """HTML file to write, or a folder for a site."""
     title: str = "MIRROR dataset"
     """Title of the page."""
+    aerial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """PNG or JPEG of the ground below the maps, such as an aerial image or joined map tiles. North is up."""
+    aerial_bounds: Annotated[
+        tuple[float, float, float, float] | None, tyro.conf.arg(metavar="WEST SOUTH EAST NORTH")
+    ] = None
+    """Edges of the file of --aerial, in degrees (WGS 84)."""
     json: bool = False
     """Print the path of the page as JSON."""
 
@@ -45,20 +52,33 @@ def main(argv: Sequence[str]) -> int:
     if not folder.is_dir():
         raise UsageError("no such folder", file=folder, place="--out", remedy="create it first, or name another folder")
 
+    if (arguments.aerial is None) != (arguments.aerial_bounds is None):
+        raise UsageError(
+            "an image of the ground needs its bounds, and bounds need an image",
+            place="--aerial and --aerial-bounds",
+            expected="both or neither",
+            remedy="give --aerial FILE --aerial-bounds WEST SOUTH EAST NORTH",
+        )
+
     from mirror.dataset import open as open_dataset
     from mirror.schema.folders import require_output_file
 
     page = arguments.out
+    aerial = None
+    if arguments.aerial is not None and arguments.aerial_bounds is not None:
+        from mirror.view.aerial import AerialImage
+
+        aerial = AerialImage(arguments.aerial, arguments.aerial_bounds)
     if is_page:
         from mirror.view.report import LEDGER_HEADING, write_report
 
         require_output_file(page, writer="mirror report", mark=LEDGER_HEADING)
-        write_report(open_dataset(arguments.dataset), page, arguments.title)
+        write_report(open_dataset(arguments.dataset), page, arguments.title, aerial=aerial)
     else:
         from mirror.progress import progress_bar
         from mirror.view.report_site import write_site
 
         with progress_bar(quiet=arguments.json) as progress:
-            page = write_site(open_dataset(arguments.dataset), page, arguments.title, progress=progress)
+            page = write_site(open_dataset(arguments.dataset), page, arguments.title, aerial=aerial, progress=progress)
     print(json.dumps({"report": str(page)}) if arguments.json else f"report: {page}")
     return ExitCode.DONE

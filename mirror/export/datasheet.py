@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import PurePosixPath
+from typing import Final
 
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.statistics import compute_statistics
 from mirror.schema.bundle import Bundle
 
+_MOST_SAMPLES: Final = 4
 
-def write_datasheet(dataset: Dataset, bundle: Bundle, *, name: str, contact: str | None) -> str:
+
+def write_datasheet(
+    dataset: Dataset, bundle: Bundle, *, name: str, contact: str | None, images: Sequence[str] = ()
+) -> str:
     """Write the text of a datasheet, with the YAML header of a dataset card.
 
     Args:
@@ -17,6 +23,7 @@ def write_datasheet(dataset: Dataset, bundle: Bundle, *, name: str, contact: str
         bundle: the published part.
         name: title of the dataset.
         contact: where to ask for the removal of data; None: the sheet asks the publisher to add it.
+        images: paths of the published images below the bundle, of which the sheet shows one of each condition.
     """
     totals = compute_statistics(dataset)
     published = len([path for path in bundle.files if path.endswith((".jpg", ".jpeg", ".png"))])
@@ -34,7 +41,9 @@ def write_datasheet(dataset: Dataset, bundle: Bundle, *, name: str, contact: str
     conditions = ", ".join(
         f"{condition.traversals} {condition.light}, {condition.weather}" for condition in totals.conditions
     )
+    samples = _show_samples(dataset, images)
     sections = {
+        **({"Sample images": samples} if samples else {}),
         "Composition": [
             f"{totals.traversals} traversals of {len(totals.scenes)} scenes, from {totals.drives} drives of"
             f" {totals.vehicles} vehicles, {totals.row.hours:.2f} hours. Traversals by condition: {conditions}.",
@@ -67,6 +76,29 @@ def write_datasheet(dataset: Dataset, bundle: Bundle, *, name: str, contact: str
     return "\n".join(
         [*header, "", f"# {name}", "", *(line for title, lines in sections.items() for line in _section(title, lines))]
     )
+
+
+def _show_samples(dataset: Dataset, images: Sequence[str]) -> list[str]:
+    """Arrange one published image of each condition, of a front camera in the middle of a traversal, as a table."""
+    by_traversal: dict[str, list[str]] = {}
+    for path in sorted(images):
+        parts = PurePosixPath(path).parts
+        if len(parts) > 2 and parts[0] == "traversals":
+            by_traversal.setdefault(parts[1], []).append(path)
+    shown: dict[str, str] = {}
+    for row in dataset.table("traversals", ["traversal_id", "light", "weather"]).to_pylist():
+        own = by_traversal.get(row["traversal_id"], [])
+        front = [path for path in own if PurePosixPath(path).parent.name.startswith("front")] or own
+        camera = PurePosixPath(front[0]).parent if front else None
+        of_camera = [path for path in front if PurePosixPath(path).parent == camera]
+        if of_camera:
+            shown.setdefault(f"{row['light']}, {row['weather']}", of_camera[len(of_camera) // 2])
+    if not shown:
+        return []
+    chosen = sorted(shown.items())[:_MOST_SAMPLES]
+    cells = [f"![{words}](<{path}>)" for words, path in chosen]
+    rows = [[words for words, _ in chosen], ["---"] * len(chosen), cells]
+    return [f"| {' | '.join(row)} |" for row in rows]
 
 
 def _section(title: str, lines: Sequence[str]) -> list[str]:

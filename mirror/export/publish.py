@@ -168,9 +168,8 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
     published = sorted({one.name for one in departure.shown.values()})
     text = write_croissant(dataset, bundle, published, name=options.name, publication=options.publication)
     bundle = _add_file(out, bundle, CROISSANT, text)
-    bundle = _add_file(
-        out, bundle, DATASHEET, write_datasheet(dataset, bundle, name=options.name, contact=options.contact)
-    )
+    text = write_datasheet(dataset, bundle, name=options.name, contact=options.contact, images=published)
+    bundle = _add_file(out, bundle, DATASHEET, text)
     write_json(out / BUNDLE, bundle)
     (out / PUBLISHING).unlink()
     return PublishReport(bundle, (), inspection.same_bytes, as_recorded, altered)

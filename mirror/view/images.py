@@ -145,9 +145,7 @@ def place_images(dataset: Dataset, passages: Sequence[Passage], *, width_px: int
     """Format the same view in every traversal: forward, or backward if the traversal drives the other way."""
     shots = []
     for passage in passages:
-        frame = frame_of(dataset, passage.traversal["traversal_id"], passage.frame_index)
-        preferred = "front_wide" if passage.is_same_direction else "rear"
-        camera = preferred if preferred in frame.images else next(iter(frame.images))
+        frame, camera = _view_of(dataset, passage)
         row = passage.traversal
         shots.append(
             {
@@ -159,6 +157,47 @@ def place_images(dataset: Dataset, passages: Sequence[Passage], *, width_px: int
             }
         )
     return render_part("mirror.view", "images.html", "places", shots)
+
+
+def compare_lights(dataset: Dataset, passages: Sequence[Passage], name: str, *, width_px: int) -> Markup | None:
+    """Format a place by day over the same place by night, or at dusk, with an edge to move.
+
+    Args:
+        dataset: the dataset.
+        passages: the traversals at the place.
+        name: name of the comparison, of which a page has one only.
+        width_px: maximum width.
+
+    Returns:
+        The comparison of the two images of one size whose places are nearest to the place; None: there are none.
+    """
+    views: dict[tuple[str, bool, int, int], tuple[Passage, Frame, str]] = {}
+    for passage in sorted(passages, key=lambda passage: passage.distance_m):
+        frame, camera = _view_of(dataset, passage)
+        lens = frame.images[camera].camera_model
+        key = passage.traversal["light"], passage.is_same_direction, lens.width_px, lens.height_px
+        views.setdefault(key, (passage, frame, camera))
+    for light in ("night", "dusk"):
+        for key, dark in views.items():
+            bright = views.get(("day", *key[1:]))
+            if key[0] == light and bright is not None:
+                sides = [
+                    (_inline(frame, camera, width_px), f"{one.traversal['light']}, {one.traversal['weather']}")
+                    for one, frame, camera in (bright, dark)
+                ]
+                (left, left_words), (right, right_words) = sides
+                width = min(key[2], width_px)
+                return render_part(
+                    "mirror.pages", "parts.html", "compare", name, left, right, width, left_words, right_words
+                )
+    return None
+
+
+def _view_of(dataset: Dataset, passage: Passage) -> tuple[Frame, str]:
+    """Return the frame of a passage and the camera that looks in the direction of the first one."""
+    frame = frame_of(dataset, passage.traversal["traversal_id"], passage.frame_index)
+    preferred = "front_wide" if passage.is_same_direction else "rear"
+    return frame, preferred if preferred in frame.images else next(iter(frame.images))
 
 
 @dataclass(frozen=True)

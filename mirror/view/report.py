@@ -18,11 +18,14 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.statistics import TableRow, compute_table_row
 from mirror.dataset.times import longitude_of, utc_and_solar
+from mirror.pages.images import encode_image
 from mirror.pages.rendering import render_page, render_part
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import write_bytes
+from mirror.view.aerial import AerialImage
 from mirror.view.images import (
     busiest_frame,
+    compare_lights,
     condition_order,
     legend,
     middle_frame,
@@ -30,7 +33,8 @@ from mirror.view.images import (
     rig_images,
     same_place,
 )
-from mirror.view.svg import MapTrack, bars, scene_map, stacked_bars
+from mirror.view.instant import cameras_over_time, draw_from_above
+from mirror.view.svg import MAP_REACH, MapTrack, bars, scene_map, stacked_bars
 from mirror.view.tables import describe_split, ledger_rows, traversal_rows
 
 if TYPE_CHECKING:
@@ -41,21 +45,26 @@ LEDGER_HEADING: Final = "<h2>The ledger of refused passes</h2>"
 
 _LARGE_PX: Final = 640
 _SMALL_PX: Final = 360
+_GROUND_PX: Final = 640
 _MAP_POINTS: Final = 400
 _MAX_CANDIDATES: Final = 3
 _LIGHTS: Final = ("day", "dusk", "night")
 _WEATHER: Final = ("clear", "clouds", "rain", "snow", "fog")
 
 
-def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> None:
+def write_report(
+    dataset: Dataset, out: Path, title: str = "MIRROR dataset", *, aerial: AerialImage | None = None
+) -> None:
     """Write the report.
 
     Args:
         dataset: the dataset, or a filtered view of it.
         out: the HTML file; it is replaced atomically.
         title: title of the page.
+        aerial: an image of the ground below the maps; None: there is none.
 
     Raises:
+        UsageError: the image of the ground is no image.
         DatasetError: an image cannot be read, or the file cannot be written.
     """
     scenes = dataset.table("scenes").to_pylist()
@@ -70,7 +79,7 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
         instant=_show_instant(dataset, traversals),
         places=list(_list_places(dataset, scenes, traversals)),
         map_legend=map_legend({row["light"] for row in traversals}),
-        maps=[draw_scene_map(dataset, scene, traversals) for scene in scenes],
+        maps=[draw_scene_map(dataset, scene, traversals, aerial) for scene in scenes],
         charts=list(draw_charts(dataset, traversals)),
         splits=list(_list_splits(dataset, traversals)),
         traversals=traversal_rows(traversals),
@@ -126,18 +135,23 @@ def _show_instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> 
         "frame_index": frame.frame_index,
         "legend": legend(sorted(set(frame.boxes().category))) if boxes else None,
         "images": rig_images(frame, boxes=boxes, width_px=_LARGE_PX),
+        "above": draw_from_above(frame, boxes=boxes),
+        "over_time": cameras_over_time(dataset, frame.traversal_id, width_px=_SMALL_PX),
     }
 
 
 def _list_places(
     dataset: Dataset, scenes: Sequence[Mapping[str, Any]], traversals: Sequence[Mapping[str, Any]]
-) -> Iterable[tuple[str, Markup]]:
-    """List one place of each scene in every traversal that passes it."""
+) -> Iterable[tuple[str, Markup | None, Markup]]:
+    """List one place of each scene in two lights, and in every traversal that passes it."""
+    named: list[str] = []
     for scene in scenes:
         own = [row for row in traversals if row["scene_id"] == scene["scene_id"]]
         passages = same_place(dataset, own)
         if len(passages) > 1:
-            yield scene_name(scene), place_images(dataset, passages, width_px=_SMALL_PX)
+            pair = compare_lights(dataset, passages, f"light-{len(named)}", width_px=_LARGE_PX)
+            named.append(scene_name(scene))
+            yield named[-1], pair, place_images(dataset, passages, width_px=_SMALL_PX)
 
 
 def scene_name(scene: Mapping[str, Any]) -> str:
@@ -153,8 +167,20 @@ def map_legend(lights: Iterable[str]) -> Markup:
     return render_part("mirror.view", "charts.html", "map_legend", ordered)
 
 
-def draw_scene_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]]) -> Markup:
-    """Draw the map of a scene with the lines of its traversals, over its recorded road map if there is one."""
+def draw_scene_map(
+    dataset: Dataset,
+    scene: Mapping[str, Any],
+    traversals: Sequence[Mapping[str, Any]],
+    aerial: AerialImage | None = None,
+) -> Markup:
+    """Draw the map of a scene with the lines of its traversals, over its recorded road map if there is one.
+
+    Args:
+        dataset: the dataset.
+        scene: row of the scene.
+        traversals: rows of traversals; those of other scenes are left out.
+        aerial: an image of the ground below the map; None: there is none.
+    """
     centre = (scene["x_m"], scene["y_m"]) if scene["frame"] is not None else (0.0, 0.0)
     lines = []
     for row in traversals:
@@ -174,7 +200,15 @@ def draw_scene_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Seque
         north=scene["frame"] is None,
         roads=[] if road_map is None else [[ring - centre for ring in area.rings] for area in road_map.drivable],
         lanes=[] if road_map is None else [lane.center_m[:, :2] - centre for lane in road_map.lanes_of()],
+        ground=None if aerial is None or scene["frame"] is not None else _show_ground(aerial, scene),
     )
+
+
+def _show_ground(aerial: AerialImage, scene: Mapping[str, Any]) -> str | None:
+    """Return the address of the ground below the map of a scene; None: the image does not show it."""
+    place = scene["longitude_deg"], scene["latitude_deg"]
+    cut = aerial.cut(*place, scene["radius_m"] * MAP_REACH, _GROUND_PX)
+    return None if cut is None else f"data:image/jpeg;base64,{encode_image(cut)}"
 
 
 def draw_charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[Markup]:

@@ -64,6 +64,7 @@ function makeTable(section) {
       const line = document.createElement("tr");
       row.forEach((value, place) => {
         const item = document.createElement("td");
+        item.dataset.head = data.columns[place].replaceAll("_", " ");
         if (numeric[place]) item.className = "n";
         if (data.columns[place] === "scene" && data.pages && data.pages[value]) {
           const link = document.createElement("a");

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 _BAR_HEIGHT, _BAR_GAP, _LABEL_WIDTH, _BAR_WIDTH, _VALUE_WIDTH = 20, 7, 104, 190, 56
 _STEP = _BAR_HEIGHT + _BAR_GAP
+MAP_REACH = 1.12
+"""Half the side of a map, in radii of its scene."""
 
 
 def bars(title: str, values: Mapping[str, float], *, unit: str = "", digits: int = 0) -> Markup:
@@ -98,6 +100,7 @@ def scene_map(
     north: bool,
     roads: Sequence[Sequence[Float64]] = (),
     lanes: Sequence[Float64] = (),
+    ground: str | None = None,
 ) -> Markup:
     """Draw a scene's circle with its traversals, y up; a dot marks each entry, an arrow head each exit.
 
@@ -110,8 +113,9 @@ def scene_map(
         north: whether an arrow states that up is north; a local frame has no north.
         roads: parts of the drivable area as rings (K, 2), the outline first, relative to the scene's centre.
         lanes: middle lines (P, 2) of lanes.
+        ground: address of an image of the ground, of the square that the map shows; None: there is none.
     """
-    reach, bar, cross = radius_m * 1.12, _scale_bar(radius_m), radius_m * 0.03
+    reach, bar, cross = radius_m * MAP_REACH, _scale_bar(radius_m), radius_m * 0.03
     drawn = []
     for number, line in enumerate(lines):
         if len(line.x_m) < 2:
@@ -133,6 +137,9 @@ def scene_map(
     scene = {
         "box": f"{-reach:.1f} {-reach:.1f} {2 * reach:.1f} {2 * reach:.1f}",
         "line": f"{radius_m * 0.012:.2f}",
+        "reach": f"{reach:.1f}",
+        "side": f"{2 * reach:.1f}",
+        "ground": ground,
         "radius": f"{radius_m:.1f}",
         "cross": f"M {-cross:.1f} 0 H {cross:.1f} M 0 {-cross:.1f} V {cross:.1f}",
         "roads": ["".join(f"M {_points(ring)} Z" for ring in rings) for rings in roads],

@@ -103,6 +103,14 @@ def test_published_bundle_has_everything_but_held_out_images(dataset: Dataset, r
         *document.files, "bundle.json"
     }  # fmt: skip
     sheet = (bundle / "README.md").read_text()
+    samples = dict(re.findall(r"!\[([^]]*)\]\(<([^>]*)>\)", sheet))
+    listed = json.loads((bundle / "bundle.json").read_text())["files"]
+    # One image of each condition, which is a file of the bundle.
+    assert samples and set(samples.values()) <= set(listed) and not set(samples.values()) & withheld
+    lights = {
+        row["traversal_id"]: f"{row['light']}, {row['weather']}" for row in dataset.table("traversals").to_pylist()
+    }
+    assert all(lights[path.split("/")[1]] == words for words, path in samples.items())
     assert (
         sheet.startswith("---\npretty_name: Street\nlicense: cc0-1.0\n")
         and f"{len(withheld):,} images are withheld" in sheet

@@ -26,7 +26,7 @@ from mirror.view.report import map_legend, write_report
 from mirror.view.svg import MapTrack, scene_map
 
 VOID = {"meta", "img", "input", "br"}
-RASTERS = {(90, 160, 3), (104, 192, 3), (76, 120, 3)}
+RASTERS = {(90, 160, 3), (104, 192, 3), (76, 120, 3), (72, 128, 3), (69, 128, 3)}
 
 
 class Page(HTMLParser):
@@ -89,8 +89,9 @@ def test_page_is_well_formed_and_self_contained(page: Page) -> None:
 
 def test_every_inlined_image_decodes(page: Page) -> None:
     sources = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
-    # One instant, one place of two traversals, and two conditions with seven cameras each.
-    assert len(sources) == 7 + 2 + 2 * 7
+    # One instant, eight instants over the time as thumbnails and as images, one place of two traversals, and two
+    # conditions with seven cameras each.
+    assert len(sources) == 7 + 8 * (7 + 7) + 2 + 2 * 7
     for source in sources:
         data = np.frombuffer(base64.b64decode(source.split(",")[1]), np.uint8)
         assert cv2.imdecode(data, cv2.IMREAD_COLOR).shape in RASTERS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,12 @@ from mirror.errors import MirrorError, UsageError
 from mirror.ingest import drive as drive_module
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
+from mirror.recordings.folder_document import read_document
+from mirror.recordings.protocol import ENTRY_POINT_GROUP, Track
 from mirror.recordings.readers.folder import FolderRecording
 from mirror.schema.files import unwritable_error
 from tests.builders.folder import SCENE, START_NS, tree, write_recording
+from tests.wheels import install_plugins
 
 WEST = SCENE.model_copy(update={"scene_id": "west", "longitude_deg": SCENE.longitude_deg - 0.0008})
 
@@ -39,6 +43,26 @@ def ingested(drives: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Pa
 def out(ingested: Path, tmp_path: Path) -> Path:
     """A copy of the dataset, which tests damage."""
     return Path(shutil.copytree(ingested, tmp_path / "d"))
+
+
+class FaultyRecording(FolderRecording):
+    """A recording of another package's reader, which has a fault."""
+
+    def track(self) -> Track:
+        raise KeyError("speed")
+
+
+class FaultyReader:
+    """A reader of another package."""
+
+    name = "faulty"
+    expects = "a folder with faulty.json"
+
+    def recognises(self, path: Path) -> bool:
+        return (path / "faulty.json").is_file()
+
+    def open(self, path: Path, options: Mapping[str, str]) -> FaultyRecording:
+        return FaultyRecording(path, read_document(path / "faulty.json"))
 
 
 def traversal(out: Path, drive: str) -> Path:
@@ -109,15 +133,10 @@ def test_a_replacement_that_was_killed_is_settled_by_the_index(out: Path) -> Non
 def test_a_reader_that_fails_stops_only_its_recording(
     drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = FolderRecording.track
-
-    def broken(self: FolderRecording) -> object:
-        if self.document.drive_id == "a":
-            raise KeyError("speed")
-        return original(self)
-
-    monkeypatch.setattr(FolderRecording, "track", broken)
-    report = ingest_recordings(drives, [SCENE], tmp_path / "d")
+    install_plugins(monkeypatch, tmp_path / "site", ENTRY_POINT_GROUP, ("faulty", f"{__name__}:FaultyReader"))
+    shutil.copytree(drives[0], tmp_path / "a")
+    (tmp_path / "a" / "recording.json").rename(tmp_path / "a" / "faulty.json")
+    report = ingest_recordings([tmp_path / "a", drives[1]], [SCENE], tmp_path / "d")
     assert sorted(report.drives) == ["b"]
     assert "its reader failed (KeyError: 'speed')" in str(report.failures[0][1])
 

@@ -16,6 +16,7 @@ import mirror
 from mirror.dataset import Dataset
 from mirror.dataset.frames import FrameSequence
 from mirror.dataset.images.decoding import run_jobs
+from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.index import build_index
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, UsageError
@@ -343,6 +344,18 @@ def write_video(path: Path, stamps: np.ndarray) -> None:
             frame.pts, frame.time_base = pts, stream.time_base
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
+
+
+@pytest.mark.parametrize("limit", [1, 2])
+def test_more_videos_are_read_than_are_open_at_once(tmp_path: Path, limit: int) -> None:
+    names = ("a.mp4", "b.mp4", "c.mp4")
+    for name in names:
+        write_video(tmp_path / name, np.arange(6) * 512)
+    decoders = VideoDecoders(Store(tmp_path), limit=limit)
+    for number in (0, 5, 2):
+        for name in names:
+            pixels = decoders.decode(name, 512 * number)
+            assert pixels is not None and abs(float(pixels.mean()) - 8.0 * number) < 2.5
 
 
 def test_images_in_a_video_are_found_by_their_stamp(tmp_path: Path) -> None:

@@ -323,3 +323,12 @@ def test_damaged_bytes_end_with_an_error_that_names_the_file(data: bytes) -> Non
                 function(cut, Path("broken.jpg"))
             except DatasetError as error:
                 assert "broken.jpg" in str(error)
+
+
+@pytest.mark.parametrize("cut", [1, 20, 255])
+def test_a_huffman_table_that_is_cut_off_is_refused(cut: int) -> None:
+    """Its counts promise more symbols than its segment has."""
+    table = huffman_table(3, 1, THUMBNAIL[-255:])
+    for function in (strip_metadata, list_metadata):
+        with pytest.raises(DatasetError, match="a broken Huffman table"):
+            function(before_scan(PLAIN, segment(0xC4, table[:-cut])), "a.jpg")

@@ -178,6 +178,15 @@ def test_the_edge_of_a_circle_belongs_to_it() -> None:
     assert not circle.contains(np.empty(0), np.empty(0)).size
 
 
+@pytest.mark.parametrize("place", [(180.0, 50.0), (-180.0, 50.0), (10.0, 90.0), (10.0, -90.0)])
+def test_a_circle_is_round_a_place_up_to_the_ends_of_the_globe(place: tuple[float, float]) -> None:
+    near, far = np.array(place)[:, None], np.array([[20.0], [0.0]])
+    circle = Circle(*place, 1.0)
+    assert circle.contains(*near).tolist() == [True] and circle.contains(*far).tolist() == [False]
+    with pytest.raises(UsageError, match="is no place"):
+        Circle(*(np.nextafter(value, 2.0 * value) if abs(value) in (90.0, 180.0) else value for value in place), 1.0)
+
+
 def test_traversals_pass_a_circle_by_their_driven_line(dataset: Dataset) -> None:
     traversals = dataset.where(scene="north").table("traversals", ["traversal_id", "closest_m"]).to_pylist()
     for radius in (1.0, 12.0, 26.0, 36.0):

@@ -100,7 +100,7 @@ def test_an_empty_dataset(tmp_path: Path) -> None:
     Builder(root).scene("a")
     build_index(root)
     found = compute_statistics(mirror.open(root))
-    assert found.row.scenes == found.traversals == found.images == 0
+    assert found.row.scenes == found.row.cameras == found.traversals == found.images == 0
     assert found.row.area_per_scene_km2 == 0.0
     assert found.row.conditions == "--"
     assert found.speed is None

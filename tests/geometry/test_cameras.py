@@ -344,3 +344,14 @@ def test_coefficients_beyond_any_lens_are_refused(model: str, coefficient: float
     count = {"brown_conrady": 5, "rational": 8, "kannala_brandt": 4, "f_theta": 4}[model]
     with pytest.raises(UsageError, match="distortion"):
         Camera(model, 64, 48, 50.0, 50.0, 32.0, 24.0, (0.0, 50.0, *[coefficient] * (count - 2)))
+
+
+def test_undistort_maps_lead_nowhere_where_a_camera_sees_nothing() -> None:
+    """The radius of an image point r (1 - 0.3 r^2) has its greatest value at r = 1.054: no ray beyond it is seen."""
+    camera = Camera("brown_conrady", 100, 80, 50.0, 50.0, 50.0, 40.0, (-0.3, 0.0, 0.0, 0.0, 0.0))
+    target = Camera("pinhole", 100, 80, 20.0, 20.0, 50.0, 40.0)
+    x, y = (np.arange(100) + 0.5 - 50.0) / 20.0, (np.arange(80) + 0.5 - 40.0) / 20.0
+    radius = np.hypot(*np.meshgrid(x, y))
+    for found in camera.undistort_maps(target):
+        assert (found[radius > 1.06] == -1.0).all()
+        assert (np.abs(found[radius < 1.05] + 1.0) > 1.0).all()

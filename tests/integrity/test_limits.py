@@ -44,3 +44,17 @@ def test_the_summary_spans_all_passes(clean: Path) -> None:
     assert accepted["exit_ns"].nunique() > 1
     summary = summarise(clean)
     assert (summary.first_ns, summary.last_ns) == (accepted["entry_ns"].min(), accepted["exit_ns"].max())
+
+
+@pytest.mark.parametrize(
+    ("column", "limit", "is_beyond"), [("duration_s", 10.0, False), ("path_m", 20.0, False), ("overlap", 0.9, True)]
+)
+def test_a_pass_at_a_threshold_of_the_trigger(broken: Broken, column: str, limit: float, is_beyond: bool) -> None:
+    """At least 10 s and 20 m, and more than 90 %."""
+    accepted = [row["traversal_id"] for row in broken.read("d0", "passes")].index(A0)
+    broken.set("d0", "passes", accepted, **{column: limit})
+    assert finds(broken, "LED001") == is_beyond
+    broken.set("d0", "passes", accepted, **{column: np.nextafter(limit, 0.0)})
+    assert finds(broken, "LED001")
+    broken.set("d0", "passes", accepted, **{column: np.nextafter(limit, np.inf)})
+    assert not finds(broken, "LED001")

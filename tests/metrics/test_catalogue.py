@@ -133,6 +133,54 @@ def test_functions_of_the_catalogue_score_one_image(name: str) -> None:
         assert MEASURES[name].low <= score <= MEASURES[name].high
 
 
+SHOWN = {
+    1: ("frames_per_second mvs_frames_per_second model_bytes_per_100m off_road wrong_lane progress"),
+    2: (
+        "psnr psnr_invariant psnr_affine psnr_cc psnr_pooled fid kid fvd edit_iou training_s peak_memory_bytes"
+        " at_fault_collisions collisions impact_speed least_ttc ttc_nuplan_within_bound ttc_navsim_within_bound"
+        " drivable_area drivable_margin red_lights comfort ttc_nuplan progress_share"
+    ),
+    3: (
+        "matched_structure ms_structure ssim lpips lpips_alex lpips_vgg lpips_squeeze st_lpips_alex st_lpips_vgg"
+        " edit_iou_hull edit_iou_box edit_iou_ceiling mean_ap nds nds_no_attr mate_m mase maoe_rad mave_mps maae ap"
+        " epdms pdms"
+    ),
+}
+NEGATIVE = {"ms_structure": -1.0, "ssim": -1.0, "kid": -1.0, "drivable_margin": -np.inf, "progress": -np.inf}
+SHARES = (
+    "matched_structure ms_structure ssim edit_iou edit_iou_hull edit_iou_box edit_iou_ceiling mean_ap nds "
+    "nds_no_attr mase maae ap epdms pdms ttc_nuplan_within_bound ttc_navsim_within_bound drivable_area comfort "
+    "progress_share"
+)
+# Protocols name them without options.
+PLAIN = (
+    "psnr matched_structure ms_structure psnr_invariant psnr_affine frames_per_second model_bytes_per_100m "
+    "training_s peak_memory_bytes epdms pdms at_fault_collisions collisions impact_speed ttc_nuplan_within_bound "
+    "ttc_navsim_within_bound drivable_margin off_road wrong_lane red_lights comfort progress_share"
+)
+
+
+def whole(name: str) -> str:
+    """The metric of which another is that of a part of the image."""
+    return re.sub(f"_({'|'.join(PARTS)})$", "", name)
+
+
+def test_boards_show_digits_that_a_metric_has() -> None:
+    digits = {name: count for count, names in SHOWN.items() for name in names.split()}
+    for name, measure in MEASURES.items():
+        assert measure.format(7.0 / measure.scale) == f"{7:.{digits[whole(name)]}f}", name
+
+
+def test_values_of_a_metric_have_bounds() -> None:
+    for name, measure in MEASURES.items():
+        assert measure.low == NEGATIVE.get(whole(name), 0.0), name
+        assert measure.high == (1.0 if whole(name) in SHARES.split() else np.inf), name
+
+
+def test_metrics_without_options_are_named_alone() -> None:
+    assert {name for name, measure in MEASURES.items() if measure.is_plain} == set(PLAIN.split())
+
+
 def test_metrics_that_scorers_compute_have_no_function() -> None:
     with pytest.raises(TypeError, match="fid has no function"):
         MEASURES["fid"].load()

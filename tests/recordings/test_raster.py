@@ -148,3 +148,10 @@ def test_checksums_of_critical_png_chunks_count(kind: bytes, critical: bool) -> 
             require_complete_image(broken, "p")
     else:
         assert require_complete_image(broken, "p") == (32, 24)
+
+
+@pytest.mark.parametrize(("width", "height"), [(2**31 - 1, 24), (32, 2**31 - 1)])
+def test_the_largest_png_of_the_format_has_a_size(width: int, height: int) -> None:
+    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    data = IMAGES["png"][:8] + header + IMAGES["png"][8 + len(header) :]
+    assert require_complete_image(data, "p") == (width, height)

@@ -106,17 +106,17 @@ def _vehicle() -> Iterator[Row]:
 
 
 def _steps(street: Street, model: OpenModel) -> Iterator[Row]:
-    street, scenario = _with_traffic(street), _scenario()
+    street, scenario = with_traffic(street), replay_scenario()
     simulation = start_simulation(street, scenario, stops_at_collision=False)
     size = f"{len(simulation.now.agents)} agents"
-    times, _ = _drive(simulation, None)
+    times, _ = drive_steps(simulation, None)
     yield Row("step without images", size, 1e3 * float(np.median(times)))
     cameras = rig_cameras(street, tuple(street.rig), 240, 135)
     simulation = start_simulation(street, scenario, stops_at_collision=False)
     renderer = ReconstructedRenderer(model, street, scenario, simulation.now, cameras)
     renderer.render(simulation.now, tuple(cameras))
     renderer.seconds.clear()
-    times, cores = _drive(simulation, renderer)
+    times, cores = drive_steps(simulation, renderer)
     size = f"7 x 240x135, {size}"
     yield Row("step, reconstructed (wall)", size, 1e3 * float(np.median(times)), bar=_SLOWEST_STEP_MS)
     yield Row("step, reconstructed (core time)", size, 1e3 * float(np.median(cores)))
@@ -135,11 +135,14 @@ def _casting() -> Iterator[Row]:
         yield Row("casting of agents", f"{count} asked, {placed} placed", spent, bar=_SLOWEST_CASTING_MS)
 
 
-def _drive(simulation: Simulation, renderer: ReconstructedRenderer | None) -> tuple[list[float], list[float]]:
+def drive_steps(
+    simulation: Simulation, renderer: ReconstructedRenderer | None, steps: int = _STEPS
+) -> tuple[list[float], list[float]]:
+    """Drive some steps; return the wall time and the processor time of each, in seconds."""
     policy = Log()
     policy.reset(simulation.observation_spec({}))
     times, cores = [], []
-    for _ in range(_STEPS):
+    for _ in range(steps):
         begin, core = time.perf_counter(), time.process_time()
         images = {} if renderer is None else renderer.render(simulation.now, tuple(simulation.street.rig))
         simulation.advance(policy.act(simulation.observe(images, privileged=True)))
@@ -148,8 +151,8 @@ def _drive(simulation: Simulation, renderer: ReconstructedRenderer | None) -> tu
     return times, cores
 
 
-def _with_traffic(street: Street) -> Street:
-    """The street with a recording of vehicles around the recorded drive, which move with it."""
+def with_traffic(street: Street) -> Street:
+    """Return the street with a recording of vehicles around the recorded drive, which move with it."""
     recording = street.recordings[min(street.recordings)]
     rng, tracks = np.random.default_rng(0), []
     for number in range(_AGENTS):
@@ -167,7 +170,8 @@ def _with_traffic(street: Street) -> Street:
     return replace(street, recordings={**street.recordings, recording.traversal_id: traffic})
 
 
-def _scenario() -> Scenario:
+def replay_scenario() -> Scenario:
+    """Return the scenario that replays the recorded vehicles."""
     replayed = {"id": "agent", "behaviour": {"kind": "replay"}}
     return Scenario.model_validate({"name": "speed", "ego": {"start": {"kind": "recorded"}}, "agents": [replayed]})
 

@@ -31,11 +31,11 @@ def trained_block(folder: Path | None) -> tuple[Path, Path]:
     return dataset, model
 
 
-def open_block(dataset: Path) -> Street:
+def open_block(dataset: Path, preset: str = PRESET) -> Street:
     """Return the street of the block, with its exact world, ground and map."""
     from mirror.synth.fleet.drives import make_drives
 
     street = open_street(str(dataset))
-    drive = make_drives(PRESET, SEED, traversals=1)[1][0]
+    drive = make_drives(preset, SEED, traversals=1)[1][0]
     ground, road_map = StreetGround(drive.world.height_m), street_map(drive.world.plan)
     return replace(street, drive=drive, ground=ground, road_map=road_map)

@@ -30,11 +30,23 @@ class Arguments:
     out: Path
     """A new or empty folder, or the folder of an interrupted run with the same options."""
     preset: Annotated[
-        Literal["demo", "quick", "tiny", "block", "calibration", "reconstruction", "benchmark", "annotation", "paper"],
+        Literal[
+            "demo",
+            "quick",
+            "tiny",
+            "block",
+            "block-960",
+            "calibration",
+            "reconstruction",
+            "benchmark",
+            "annotation",
+            "paper",
+        ],
         help_text(metavar="NAME"),
     ] = "demo"
     """demo: two scenes. quick: one small scene. tiny: two traversals, for tests. benchmark: four scenes of eight
-    traversals. block, reconstruction: one and three blocks of a street. calibration: one drive with images at the
+    traversals. block, reconstruction: one and three blocks of a street. block-960: the block 960 pixels wide.
+    calibration: one drive with images at the
     rate that `mirror calibrate` needs.
     annotation: small images of ten scenes, to train `mirror annotate train`.
     paper: ten scenes in six cities, with images that are rendered when they are loaded."""

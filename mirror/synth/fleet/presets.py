@@ -174,6 +174,7 @@ PRESETS: Final = {
             image_hz=0.3,
         ),
         Preset("block", (_block(places.KARLSRUHE_CAMPUS, -61.0, 50.0, 2),), 5, 240, image_hz=0.5),
+        Preset("block-960", (_block(places.KARLSRUHE_CAMPUS, -61.0, 50.0, 2),), 5, 960, image_hz=0.5),
         _calibration(),
         _reconstruction(),
         _benchmark(),
@@ -182,10 +183,10 @@ PRESETS: Final = {
     )
 }
 """All presets, by name. ``tiny`` is for tests, ``quick`` and ``demo`` are for demonstrations, ``block`` and
-``reconstruction`` have one and three blocks of a street, ``benchmark`` has four kinds of scene in six conditions,
-``calibration`` has one drive at the rate that calibration needs, ``annotation`` has small images of ten scenes in six
-cities, to train detectors, and ``paper`` is as large as the paper's dataset: ten scenes in six cities, seven vehicle
-types, images on demand."""
+``reconstruction`` have one and three blocks of a street, ``block-960`` is ``block`` in images for a GPU,
+``benchmark`` has four kinds of scene in six conditions, ``calibration`` has one drive at the rate that calibration
+needs, ``annotation`` has small images of ten scenes in six cities, to train detectors, and ``paper`` is as large as
+the paper's dataset: ten scenes in six cities, seven vehicle types, images on demand."""
 
 
 def resolve_preset(preset: str, scenes: int | None = None, traversals: int | None = None) -> tuple[Preset, int, int]:

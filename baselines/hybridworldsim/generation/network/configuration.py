@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 from mirror.errors import UsageError
@@ -194,6 +194,19 @@ TINY: Final = TransformerConfig(
     background=AdapterConfig(3, 96, scales=(1, 1, 2)),
 )
 """A network of a few million parameters for images of a hundred pixels, trained on one core: references as channels."""
+
+SMALL: Final = replace(
+    TINY,
+    layers=8,
+    heads=6,
+    head_channels=64,
+    grid=64,
+    grid_base=32,
+    cross_view_layers=(1, 4, 7),
+    layout=AdapterConfig(4 * (TINY_REFERENCES + 1), 192, scales=(1, 1, 1)),
+    background=AdapterConfig(3, 192, scales=(1, 1, 2)),
+)
+"""A network of 63 million parameters for images of 448 x 256, trained on a GPU; its parts are those of `TINY`."""
 
 BASES: Final = {"ctsd-35": CTSD_35, "unimlvg": UNIMLVG}
 """Released models that can be loaded, by name."""

@@ -77,9 +77,6 @@ _BAR: Final = 0.9
 # A test may take ten times as long as without a mutant, plus the first time; plus the second where kernels compile.
 _PATIENCE_S: Final = 10.0
 _COMPILING_S: Final = 90.0
-# On a machine with other work a second of processor time takes several.
-_WALL_A_CPU_S: Final = 20.0
-_CLEAN_WALL_S: Final = 7200.0
 # Tests of speed fail on a busy machine.
 _WORDS: Final = ("-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist", "--hypothesis-seed=0",
                  "-p", "benchmarks.mutants.plugin", "-k", "not fast_enough")  # fmt: skip
@@ -97,6 +94,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--first-s", type=float, default=20.0, help="processor time of the likeliest tests of a mutant")
     parser.add_argument("--workers", type=int, default=1, help="mutants that run at once, each on a core")
     parser.add_argument("--state", type=Path, default=OUT / "mutants", help="folder of the copies of the tree")
+    parser.add_argument("--rooms", nargs="+", choices=list(ROOMS), default=list(ROOMS), help="whose mutants run")
     parser.add_argument("--fresh", action="store_true", help="delete the stored outcomes and run all mutants")
     parser.add_argument("--again", action="store_true", help="run the survivors without a reason once more")
     parser.add_argument("--report", action="store_true", help="run nothing")
@@ -111,13 +109,16 @@ def main(argv: list[str] | None = None) -> int:
     outcomes = {one["mutant"]: one for one in read_lines(_OUTCOMES, decode_object)}
     reasons = {reason_name(one): one["because"] for one in read_reasons()}
     if not options.report:
+        wanted = [one for one in present if _room(one.file) in options.rooms]
         again = {name for name, one in outcomes.items() if not one["killed"] and name not in reasons}
-        fresh = [one for one in present if one.name not in outcomes or (options.again and one.name in again)]
+        fresh = [one for one in wanted if one.name not in outcomes or (options.again and one.name in again)]
         run = _Run(options.state.resolve(), outcomes, options.workers, options.first_s)
         try:
             run.begin()
-            run.try_mutants(fresh, options.hours, rest=False)
-            begun = [one for one in present if not outcomes.get(one.name, {"complete": True})["complete"]]
+            for room in options.rooms:
+                run.record(room)
+                run.try_mutants([one for one in fresh if _room(one.file) == room], options.hours, rest=False)
+            begun = [one for one in wanted if not outcomes.get(one.name, {"complete": True})["complete"]]
             run.try_mutants(begun, options.hours, rest=True)
         finally:
             run.end()
@@ -155,7 +156,7 @@ class _Worker:
         self.files = state / f"files{number}"
         self._server: subprocess.Popen[str] | None = None
 
-    def run(self, tree: Path, words: Sequence[str], plan: Mapping[str, Any], wall_s: float) -> tuple[int, float, str]:
+    def run(self, tree: Path, words: Sequence[str], plan: Mapping[str, Any]) -> tuple[int, float, str]:
         """Run pytest in a tree; return its exit code, its processor time, and what it printed."""
         shutil.rmtree(self.files, ignore_errors=True)
         (self.files / "tmp").mkdir(parents=True)
@@ -168,10 +169,7 @@ class _Worker:
             "TMPDIR": str(self.files / "tmp"),
         }
         output = self.files / "output.txt"
-        request = {
-            "tree": str(tree), "environment": environment, "output": str(output), "wall_s": wall_s,
-            "words": [*_WORDS, *words],
-        }  # fmt: skip
+        request = {"tree": str(tree), "environment": environment, "output": str(output), "words": [*_WORDS, *words]}
         self._server = self._server or _start_server()
         if self._server.stdin is None or self._server.stdout is None:
             raise RuntimeError("the server of pytest has no pipes")
@@ -204,16 +202,20 @@ class _Run:
         return float(sum(one["cpu_s"] for one in self._outcomes.values())) / 3600
 
     def begin(self) -> None:
-        """Copy the tree, and run the tests that have changed, or whose source has, since their last recorded run."""
+        """Copy the tree."""
         words = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
         listed = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\0")
         files = {name: (ROOT / name).read_bytes() for name in listed if name and (ROOT / name).is_file()}
         self._texts = {name: data.decode() for name, data in files.items() if name.endswith(".py")}
         self._importers = find_importers(self._texts)
         self._copy(files)
+        self._stamps = read_stamps(self._clean)
+
+    def record(self, room: str) -> None:
+        """Run the tests of a room that have changed, or whose source has, since they were last recorded."""
         recorded = json.loads(self._record.read_bytes()) if self._record.exists() else {}
 
-        def record(folder: str) -> None:
+        def record_folder(folder: str) -> None:
             found = [name for name in self._texts if name.startswith(f"{folder}/") and "/test_" in name]
             stale = [name for name in found if not self._is_current(name, recorded.get(name))]
             fresh = self._run_clean(stale) if stale else {}
@@ -224,7 +226,7 @@ class _Run:
                 self._tests[folder] = [RecordedTest.of(line) for line in lines if not line["failed"]]
                 self._at_import.update(call for line in lines for call in line["imports"])
 
-        self._each(record, sorted({folder for folders in ROOMS.values() for folder in folders}))
+        self._each(record_folder, [folder for folder in ROOMS[room] if folder not in self._tests])
 
     def _each(self, do: Callable[[_One], None], some: Iterable[_One]) -> None:
         """Do something for each of some things, as many at once as there are workers."""
@@ -291,7 +293,7 @@ class _Run:
     def _record_tests(self, tests: Sequence[str]) -> list[dict[str, Any]]:
         with self._worker() as worker:
             out = worker.files / "recorded.jsonl"
-            code, cpu_s, output = worker.run(self._clean, tests, {"record": str(out)}, _CLEAN_WALL_S)
+            code, cpu_s, output = worker.run(self._clean, tests, {"record": str(out)})
             lines = list(read_lines(out, decode_object))
         if code not in (_PASSED, _FAILED, _NO_TESTS):
             raise RuntimeError(f"pytest ends with {code} without a mutant:\n{output[-3000:]}")
@@ -309,8 +311,7 @@ class _Run:
         self._each(attempt, some)
 
     def _try_mutant(self, worker: _Worker, mutant: Mutant, *, rest: bool) -> None:
-        room = next(room for room in ROOMS if mutant.file.startswith(f"{room}/"))
-        known = [test for folder in ROOMS[room] for test in self._tests[folder]]
+        known = [test for folder in ROOMS[_room(mutant.file)] for test in self._tests[folder]]
         at_import = f"{mutant.file}:{mutant.function}" in self._at_import
         kernels = may_change_kernels(self._texts[mutant.file], mutant.function, at_import=at_import)
         distances = count_imports(mutant.file, self._importers)
@@ -321,12 +322,11 @@ class _Run:
         code, cpu_s, output = 0, 0.0, ""
         if tests:
             link_tree(self._clean, worker.tree)
-            stamps = read_stamps(self._clean)
             replace_file(worker.tree / mutant.file, mutant.applied(self._texts[mutant.file]))
             for importer in distances if kernels else ():
                 forget_kernels(worker.tree / importer)
             code, cpu_s, output = self._run_tests(worker, tests, _PATIENCE_S + _COMPILING_S * kernels)
-            if read_stamps(self._clean) != stamps:
+            if read_stamps(self._clean) != self._stamps:
                 raise RuntimeError(f"{self._clean} is not as it was: a test wrote through a link; delete the folder")
         self._store(mutant, code, cpu_s, output, complete=bool(code) or rest or len(first) == len(able))
 
@@ -334,8 +334,7 @@ class _Run:
         limits = {test.name: patience_s + 10 * (test.cpu_s + sum(test.fixtures.values())) for test in tests}
         plan = {"order": [test.name for test in tests], "limit_s": limits}
         files = list(dict.fromkeys(test.file for test in tests))
-        wall_s = _WALL_A_CPU_S * (60 + patience_s + sum(test.cpu_s for test in tests))
-        code, cpu_s, output = worker.run(worker.tree, ["-x", *files], plan, wall_s)
+        code, cpu_s, output = worker.run(worker.tree, ["-x", *files], plan)
         # A mutant that breaks the import of shared fixtures; anything else of these codes is a fault of this program.
         imports = code == _USAGE and "while loading conftest" in output
         if code > _INTERRUPTED and not imports:
@@ -352,6 +351,10 @@ class _Run:
             append_line(_OUTCOMES, json.dumps(outcome))
         state = "killed  " if code else "SURVIVED" if complete else "so far survived"
         print(state, f"{cpu_s:.1f} s", mutant.file, mutant.name, flush=True)
+
+
+def _room(file: str) -> str:
+    return next(room for room in ROOMS if file.startswith(f"{room}/"))
 
 
 def _start_server() -> subprocess.Popen[str]:

@@ -6,7 +6,6 @@ processor time}}``.
 
 from __future__ import annotations
 
-import faulthandler
 import json
 import math
 import multiprocessing.process
@@ -25,8 +24,6 @@ from benchmarks.mutants.recorder import start_recording
 
 _PLAN: Final[dict[str, Any]] = json.loads(Path(os.environ["MIRROR_MUTANTS"]).read_bytes())
 _PACKAGES: Final = ("mirror", "hybridworldsim", "mirror_baselines")
-# A test that waits, and does not compute, ends after this multiple of its processor time.
-_WAITS: Final = 20
 _STARTS: Final = ("subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn", "os.exec", "os.system")
 
 
@@ -48,11 +45,7 @@ class _Follower:
         # The kernel ends a process that has used more, also within compiled code.
         soft = math.ceil(time.process_time() + limit_s)
         resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.getrlimit(resource.RLIMIT_CPU)[1]))
-        faulthandler.dump_traceback_later(_WAITS * limit_s, exit=True)
-        try:
-            return (yield)
-        finally:
-            faulthandler.cancel_dump_traceback_later()
+        return (yield)
 
 
 class _Recorder:

@@ -12,12 +12,37 @@ Stamps = dict[str, tuple[int, int, int]]
 
 
 def link_tree(source: Path, destination: Path) -> None:
-    """Replace a folder by one whose files are hard links to those of another, without those that tests left there.
+    """Make a folder whose files are hard links to those of another, without those that tests left there.
 
-    Whoever writes into a linked file changes both: use `replace_file`.
+    Where the folder exists, only what differs is removed and linked. Whoever writes into a linked file changes both:
+    use `replace_file`.
     """
-    shutil.rmtree(destination, ignore_errors=True)
-    shutil.copytree(source, destination, copy_function=os.link, ignore=shutil.ignore_patterns(*_LEFT_OUT))
+    wanted = _list_inodes(source)
+    for path, inode in _list_inodes(destination).items() if destination.exists() else ():
+        if wanted.get(path) == inode:
+            del wanted[path]
+        else:
+            (destination / path).unlink()
+    for path in wanted:
+        (destination / path).parent.mkdir(parents=True, exist_ok=True)
+        os.link(source / path, destination / path, follow_symlinks=False)
+
+
+def _list_inodes(tree: Path) -> dict[str, int]:
+    """Return the inode of each file and link of a tree, by relative path; the folders of `_LEFT_OUT` are removed."""
+    found: dict[str, int] = {}
+    folders = [""]
+    while folders:
+        prefix = folders.pop()
+        with os.scandir(tree / prefix) as entries:
+            for entry in entries:
+                if entry.name in _LEFT_OUT:
+                    shutil.rmtree(entry.path)
+                elif entry.is_dir(follow_symlinks=False):
+                    folders.append(f"{prefix}{entry.name}/")
+                else:
+                    found[prefix + entry.name] = entry.inode()
+    return found
 
 
 def replace_file(file: Path, text: str) -> None:

@@ -20,6 +20,7 @@ from benchmarks.mutants.selection import (
     select_tests,
     take_first,
 )
+from benchmarks.mutants.server import session_s
 from benchmarks.mutants.trees import link_tree, read_stamps, replace_file
 
 SOURCE = '''
@@ -172,6 +173,13 @@ def test_a_changed_file_leaves_the_file_that_it_was_linked_to_as_it_is(tmp_path:
     assert not list((work / "mirror").glob("__pycache__/a.*"))
     assert (work / "mirror" / "b.py").samefile(clean / "mirror" / "b.py")
     assert read_stamps(clean) == stamps
+    # The next mutant's tree is whole again, without what tests left.
+    (work / "mirror" / "left.txt").write_text("left")
+    (work / ".hypothesis" / "examples").mkdir(parents=True)
+    link_tree(clean, work)
+    assert {path.name for path in work.rglob("*")} == {"mirror", "__pycache__", "a.cpython-311.pyc", "a.py", "b.py"}
+    assert all(path.samefile(clean / path.relative_to(work)) for path in work.rglob("*.*"))
+    assert read_stamps(clean) == stamps
     # A test that writes into a file of the tree is found out, also if it does so without a change of the size.
     (work / "mirror" / "b.py").write_text("B = 2\n")
     assert {name for name, stamp in read_stamps(clean).items() if stamp != stamps[name]} == {"mirror/b.py"}
@@ -237,6 +245,20 @@ def test_failure() -> None:
 def test_hang() -> None:
     a.hang(0)
 """
+
+
+def test_the_processor_time_of_a_session_counts_whoever_computes() -> None:
+    code = "import os, sys; sys.stdin.read(1); sum(range(3_000_000)); os.write(1, b'x'); sys.stdin.read()"
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe, start_new_session=True) as process:
+        assert process.stdin is not None and process.stdout is not None
+        process.stdin.write(b"go")
+        process.stdin.flush()
+        assert process.stdout.read(1) == b"x"
+        # It waits: nothing is added.
+        assert session_s(process.pid) == session_s(process.pid) > 0.0
+        process.stdin.close()
+    assert session_s(process.pid) == 0.0
 
 
 def run_plugin(tree: Path, plan: dict[str, Any]) -> int:

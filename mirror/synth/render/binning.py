@@ -1,4 +1,8 @@
-"""Visibility culling: lists the surfaces that each tile of a view may show, nearest first."""
+"""Visibility culling: lists the surfaces that each tile of a view may show, nearest first.
+
+Most surfaces of a view that has few tiles are small beside a tile and are hidden. Their tiles are looked up by direction,
+and the coefficients of their rays are built when a tile tries them.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +12,13 @@ from typing import Final
 import numpy as np
 from numba import njit
 
-from mirror.arrays import Float32, Float64, Int32, Int64, Records
+from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.compiled import inner_numpy_njit
 from mirror.synth.model import Label
 from mirror.synth.render.lens import FANOUT, LEVELS
 
 _STACK: Final = 4 * LEVELS * FANOUT * FANOUT
+_DIGIT: Final = 11
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -50,7 +55,7 @@ def find_facing(
     z: float,
     least_rad: float,
     ground: bool,
-) -> tuple[Int64, Float32]:
+) -> tuple[Int64, Float32, Int64]:
     """Find the surfaces in a view that face the camera and are large enough to be visible.
 
     Args:
@@ -66,13 +71,16 @@ def find_facing(
         ground: whether faces of the ground are included.
 
     Returns:
-        (N,) surface indices; (N,) lower bounds of their distances, metres.
+        (N,) surface indices, nearest first; (N,) lower bounds of their distances, metres; (N + 1,) index of the first
+        row of coefficients of each surface, for `fill_ray_tests`.
     """
     chosen, distances = np.empty(len(spheres), np.int64), np.empty(len(spheres), np.float32)
+    needed = np.empty(len(spheres), np.int64)
     first, count = levels[LEVELS - 1, 0], levels[LEVELS - 1, 1] * levels[LEVELS - 1, 2]
     turned = _rotate_cones(cones[first : first + count], rotation)
     used = 0
     for index in range(len(spheres)):
+        rows = 3
         if index < len(faces):
             face = faces[index]
             if not ground and face.label <= Label.TERRAIN:
@@ -80,6 +88,7 @@ def find_facing(
             out = face.normal_0 * x + face.normal_1 * y + face.normal_2 * z - face.offset
             if abs(out) < 1e-7 or (out < 0.0 and not face.two_sided):
                 continue
+            rows = 1 + face.count
         dx, dy, dz = spheres[index, 0] - x, spheres[index, 1] - y, spheres[index, 2] - z
         far = math.sqrt(dx * dx + dy * dy + dz * dz)
         if spheres[index, 3] < least_rad * far:
@@ -92,9 +101,38 @@ def find_facing(
                 within = within or _sphere_may_meet(turned[root], dx / far, dy / far, dz / far, cosine, sine)
             if not within:
                 continue
-        chosen[used], distances[used] = index, max(far - spheres[index, 3], 0.0)
+        chosen[used], distances[used], needed[used] = index, max(far - spheres[index, 3], 0.0), rows
         used += 1
-    return chosen[:used], distances[:used]
+    places = _sort_places(distances, used)
+    order, nearest, starts = np.empty(used, np.int64), np.empty(used, np.float32), np.zeros(used + 1, np.int64)
+    for at in range(used):
+        place = places[at]
+        order[at], nearest[at] = chosen[place], distances[place]
+        starts[at + 1] = starts[at] + needed[place]
+    return order, nearest, starts
+
+
+@inner_numpy_njit
+def _sort_places(distances: Float32, used: int) -> Int64:
+    """Sort the first distances, which are not negative: stably, by their bits, eleven at a time."""
+    bits = distances.view(np.int32)
+    places, other = np.arange(used), np.empty(used, np.int64)
+    tally = np.empty(1 << _DIGIT, np.int64)
+    for shift in (0, _DIGIT, 2 * _DIGIT):
+        tally[:] = 0
+        for at in range(used):
+            tally[(bits[at] >> shift) & ((1 << _DIGIT) - 1)] += 1
+        total = 0
+        for digit in range(1 << _DIGIT):
+            count = tally[digit]
+            tally[digit] = total
+            total += count
+        for at in range(used):
+            digit = (bits[places[at]] >> shift) & ((1 << _DIGIT) - 1)
+            other[tally[digit]] = places[at]
+            tally[digit] += 1
+        places, other = other, places
+    return places
 
 
 @inner_numpy_njit
@@ -109,11 +147,11 @@ def _rotate_cones(cones: Float64, rotation: Float64) -> Float64:
     return turned
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def build_ray_tests(
-    faces: Records, corners: Float64, rounds: Records, order: Int64, x: float, y: float, z: float
-) -> tuple[Int64, Float32]:
-    """Build the coefficients that test whether a ray from a position hits a surface, and at which distance.
+@inner_numpy_njit
+def fill_ray_tests(
+    faces: Records, corners: Float64, rounds: Records, index: int, x: float, y: float, z: float, rows: Float32, at: int
+) -> None:
+    """Fill in the coefficients that test whether a ray from a position hits a surface, and at which distance.
 
     A face has one row of three numbers for its plane and one for each edge. The dot product of the first row and the
     ray is the inverse of the distance; the dot product of an edge's row and the ray is negative outside that edge.
@@ -126,40 +164,31 @@ def build_ray_tests(
         faces: (F,) FACE, flat.
         corners: (C, 3).
         rounds: (R,) ROUND, flat.
-        order: (N,) surface indices.
+        index: the surface.
         x: position, world metres.
         y: position, world metres.
         z: position, world metres.
-
-    Returns:
-        (N + 1,) index of the first row of each surface; (rows, 3) coefficients.
+        rows: (rows, 3) coefficients of all surfaces, which are written.
+        at: first row of the surface.
     """
-    starts = np.zeros(len(order) + 1, np.int64)
-    for place in range(len(order)):
-        index = order[place]
-        starts[place + 1] = starts[place] + (1 + faces[index].count if index < len(faces) else 3)
-    rows = np.empty((starts[len(order)], 3), np.float32)
-    for place in range(len(order)):
-        index, at = order[place], starts[place]
-        if index < len(faces):
-            face = faces[index]
-            beyond = face.offset - (face.normal_0 * x + face.normal_1 * y + face.normal_2 * z)
-            rows[at, 0] = face.normal_0 / beyond
-            rows[at, 1] = face.normal_1 / beyond
-            rows[at, 2] = face.normal_2 / beyond
-            sign = -1.0 if beyond < 0.0 else 1.0
-            for corner in range(face.count):
-                i, j = face.first + corner, face.first + (corner + 1) % face.count
-                ax, ay, az = corners[i, 0] - x, corners[i, 1] - y, corners[i, 2] - z
-                bx, by, bz = corners[j, 0] - x, corners[j, 1] - y, corners[j, 2] - z
-                cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-                scale = sign / max(math.sqrt(cx * cx + cy * cy + cz * cz), 1e-30)
-                rows[at + 1 + corner, 0] = scale * cx
-                rows[at + 1 + corner, 1] = scale * cy
-                rows[at + 1 + corner, 2] = scale * cz
-        else:
-            _quadric(rounds[index - len(faces)], x, y, z, rows[at : at + 3])
-    return starts, rows
+    if index < len(faces):
+        face = faces[index]
+        beyond = face.offset - (face.normal_0 * x + face.normal_1 * y + face.normal_2 * z)
+        rows[at, 0] = face.normal_0 / beyond
+        rows[at, 1] = face.normal_1 / beyond
+        rows[at, 2] = face.normal_2 / beyond
+        sign = -1.0 if beyond < 0.0 else 1.0
+        for corner in range(face.count):
+            i, j = face.first + corner, face.first + (corner + 1) % face.count
+            ax, ay, az = corners[i, 0] - x, corners[i, 1] - y, corners[i, 2] - z
+            bx, by, bz = corners[j, 0] - x, corners[j, 1] - y, corners[j, 2] - z
+            cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            scale = sign / max(math.sqrt(cx * cx + cy * cy + cz * cz), 1e-30)
+            rows[at + 1 + corner, 0] = scale * cx
+            rows[at + 1 + corner, 1] = scale * cy
+            rows[at + 1 + corner, 2] = scale * cz
+    else:
+        _quadric(rounds[index - len(faces)], x, y, z, rows[at : at + 3])
 
 
 @inner_numpy_njit
@@ -197,41 +226,51 @@ def _quadric(ellipsoid: Records, x: float, y: float, z: float, rows: Float32) ->
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def build_tile_lists(
+    faces: Records,
+    corners: Float64,
+    rounds: Records,
     order: Int64,
     nearest: Float32,
-    number: int,
     spheres: Float64,
     starts: Int64,
-    rows: Float32,
     cones: Float64,
     levels: Int64,
+    cells: Int64,
+    cell_tiles: Int32,
+    small: float,
     rotation: Float64,
     x: float,
     y: float,
     z: float,
-) -> tuple[Int64, Int32]:
+) -> tuple[Int64, Int32, Float32, UInt8]:
     """List the surfaces, nearest first, that each of the smallest tiles may show.
 
     The rays of a tile lie in a cone, and the tests of the cone against a surface's sphere and edges are conservative:
     no visible surface is left out, for any lens. Surfaces behind a face that covers a whole tile are left out.
 
     Args:
+        faces: (F,) FACE, flat.
+        corners: (C, 3).
+        rounds: (R,) ROUND, flat.
         order: (N,) surface indices, nearest first.
         nearest: (N,) lower bounds of their distances.
-        number: number of faces; smaller surface indices are faces.
         spheres: bounding spheres of all surfaces.
-        starts: from `build_ray_tests`.
-        rows: from `build_ray_tests`.
+        starts: (N + 1,) first rows of the surfaces' coefficients.
         cones: cones of the lens.
         levels: levels of the lens.
+        cells: cells of directions of the lens.
+        cell_tiles: tiles of the cells.
+        small: sine of the half angle below which the cells list all tiles of a surface.
         rotation: (3, 3) world_R_camera.
         x: camera position, world metres.
         y: camera position, world metres.
         z: camera position, world metres.
 
     Returns:
-        (tiles + 1,) index at which each tile's list begins; the lists: positions in ``order``.
+        (tiles + 1,) index at which each tile's list begins; the lists: positions in ``order``; (rows, 3) coefficients
+        of `fill_ray_tests`; (N,) 1 for surfaces whose coefficients are filled in.
     """
+    number = len(faces)
     turned = _rotate_cones(cones, rotation)
     tiles = levels[0, 1] * levels[0, 2]
     pairs = np.empty((8 * tiles + 4 * len(order) + 64, 2), np.int32)
@@ -240,6 +279,7 @@ def build_tile_lists(
     top = LEVELS - 1
     # Beyond these distances a nearer face covers the whole tile.
     limits = np.full(len(cones), np.inf)
+    rows, filled = np.empty((starts[len(order)], 3), np.float32), np.zeros(len(order), np.uint8)
     for place in range(len(order)):
         index, distance = order[place], nearest[place]
         dx, dy, dz = spheres[index, 0] - x, spheres[index, 1] - y, spheres[index, 2] - z
@@ -249,6 +289,23 @@ def build_tile_lists(
             sine = spheres[index, 3] / far
             cosine = math.sqrt(1.0 - sine * sine)
             dx, dy, dz = dx / far, dy / far, dz / far
+        # A list grows by at most one pair a tile.
+        if used + tiles > len(pairs):
+            longer = np.empty((2 * len(pairs) + tiles, 2), np.int32)
+            # Not a slice: the error of shapes that differ takes three seconds to compile.
+            for pair in range(used):
+                longer[pair, 0], longer[pair, 1] = pairs[pair, 0], pairs[pair, 1]
+            pairs = longer
+        if sine < small:
+            cell = _find_cell(rotation, dx, dy, dz, len(cells) - 1)
+            for entry in range(cells[cell], cells[cell + 1]):
+                at = cell_tiles[entry]
+                if distance <= limits[at] and _sphere_may_meet(turned[at], dx, dy, dz, cosine, sine):
+                    pairs[used, 0], pairs[used, 1] = at, place
+                    used += 1
+            continue
+        fill_ray_tests(faces, corners, rounds, index, x, y, z, rows, starts[place])
+        filled[place] = 1
         first, last = starts[place] + 1, starts[place + 1]
         if index >= number:
             last = first
@@ -262,23 +319,16 @@ def build_tile_lists(
                 if distance > limits[at] or not _may_meet(turned[at], dx, dy, dz, cosine, sine, rows, first, last):
                     continue
                 if index < number and sine > turned[at, 4]:
-                    limits[at] = min(limits[at], _occlusion_distance(turned[at], rows, first, last))
+                    limit = _occlusion_distance(turned[at], rows, first, last)
+                    if limit < limits[at]:
+                        _lower_limits(limits, levels, level, row, column, limit)
                 if level == 0:
-                    if used == len(pairs):
-                        longer = np.empty((2 * used, 2), np.int32)
-                        # Not a slice: the error of shapes that differ takes three seconds to compile.
-                        for pair in range(used):
-                            longer[pair, 0], longer[pair, 1] = pairs[pair, 0], pairs[pair, 1]
-                        pairs = longer
                     pairs[used, 0], pairs[used, 1] = row * levels[0, 2] + column, place
                     used += 1
                     continue
                 finer = level - 1
-                limit = limits[at]
                 for i in range(row * FANOUT, min((row + 1) * FANOUT, levels[finer, 1])):
                     for j in range(column * FANOUT, min((column + 1) * FANOUT, levels[finer, 2])):
-                        child = levels[finer, 0] + i * levels[finer, 2] + j
-                        limits[child] = min(limits[child], limit)
                         stack[depth, 0], stack[depth, 1], stack[depth, 2] = finer, i, j
                         depth += 1
     begins = np.zeros(tiles + 1, np.int64)
@@ -291,7 +341,38 @@ def build_tile_lists(
         tile = pairs[pair, 0]
         lists[fill[tile]] = pairs[pair, 1]
         fill[tile] += 1
-    return begins, lists
+    return begins, lists, rows, filled
+
+
+@inner_numpy_njit
+def _find_cell(rotation: Float64, dx: float, dy: float, dz: float, cells: int) -> int:
+    """Find the cell of a direction in the world; `lens.make_cells` has the order of the cells."""
+    u = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+    v = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+    w = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+    side = int(math.sqrt(cells // 6) + 0.5)
+    wide, high, deep = abs(u), abs(v), abs(w)
+    if deep >= wide and deep >= high:
+        face, i, j = (4 if w > 0.0 else 5), u / deep, v / deep
+    elif wide >= high:
+        face, i, j = (0 if u > 0.0 else 1), v / wide, w / wide
+    else:
+        face, i, j = (2 if v > 0.0 else 3), u / high, w / high
+    row, column = int(0.5 * (j + 1.0) * side), int(0.5 * (i + 1.0) * side)
+    return (face * side + min(row, side - 1)) * side + min(column, side - 1)
+
+
+@inner_numpy_njit
+def _lower_limits(limits: Float64, levels: Int64, level: int, row: int, column: int, limit: float) -> None:
+    """Lower the limit of a tile, and of all finer tiles in it."""
+    top, bottom, left, right = row, row + 1, column, column + 1
+    for finer in range(level, -1, -1):
+        bottom, right = min(bottom, levels[finer, 1]), min(right, levels[finer, 2])
+        for i in range(top, bottom):
+            for j in range(left, right):
+                at = levels[finer, 0] + i * levels[finer, 2] + j
+                limits[at] = min(limits[at], limit)
+        top, bottom, left, right = FANOUT * top, FANOUT * bottom, FANOUT * left, FANOUT * right
 
 
 @inner_numpy_njit

@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 from numba import njit
 
-from mirror.arrays import Float32, Float64, Int32, Int64, UInt8
+from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.compiled import inner_per_pixel
 from mirror.portable import scalars
+from mirror.synth.render.binning import fill_ray_tests
 from mirror.synth.render.lens import TILE_PX
 
 SKY: Final = -1
@@ -35,33 +36,45 @@ OFFSETS: Final = np.array(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def compute_coverage(
+    faces: Records,
+    corners: Float64,
+    rounds: Records,
     rays: Float64,
     rotation: Float64,
+    x: float,
+    y: float,
+    z: float,
     offsets: Float32,
     cones: Float64,
     begins: Int64,
     lists: Int32,
     order: Int64,
-    number: int,
     nearest: Float32,
     starts: Int64,
     rows: Float32,
+    filled: UInt8,
     mask: Float32,
 ) -> tuple[Int32, UInt8, Int32, Float32, Int64]:
     """Compute the surfaces of each pixel: one surface, or fragments of several.
 
     Args:
+        faces: (F,) FACE, flat.
+        corners: (C, 3).
+        rounds: (R,) ROUND, flat.
         rays: (H, W, 3) rays of the lens.
         rotation: (3, 3) world_R_camera.
+        x: camera position, world metres.
+        y: camera position, world metres.
+        z: camera position, world metres.
         offsets: (S, 2) rays of a pixel, in pixels right and down of its centre.
         cones: cones of the lens; those of the finest tiles come first.
         begins: from `binning.build_tile_lists`.
         lists: from `binning.build_tile_lists`.
         order: (N,) surface indices.
-        number: number of faces; smaller surface indices are faces.
         nearest: (N,) lower bounds of the distances of the surfaces in ``order``, ascending.
-        starts: from `binning.build_ray_tests`.
-        rows: from `binning.build_ray_tests`.
+        starts: (N + 1,) first rows of the surfaces' coefficients.
+        rows: (rows, 3) coefficients of `binning.fill_ray_tests`; those that a tile tries are filled in.
+        filled: (N,) 1 for surfaces whose coefficients are filled in; it is updated.
         mask: (H, W) mask: tiles that are 0 everywhere are skipped; (0, 0): no tile is skipped.
 
     Returns:
@@ -71,7 +84,7 @@ def compute_coverage(
     """
     height, width = rays.shape[:2]
     down, across = -(-height // TILE_PX), -(-width // TILE_PX)
-    samples = len(offsets)
+    number, samples = len(faces), len(offsets)
     count = samples * _AREA
     sx, sy, sz = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     inverse, inside, found = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.int32)
@@ -102,13 +115,18 @@ def compute_coverage(
             place = lists[at]
             if nearest[place] * farthest > np.float32(1.0001):
                 break
-            counts[1] += 1
             first, last = starts[place], starts[place + 1]
+            if filled[place] == 0:
+                fill_ray_tests(faces, corners, rounds, order[place], x, y, z, rows, first)
+                filled[place] = 1
+            if order[place] < number and _is_outside(rows, first, last, cx, cy, cz, sine):
+                continue
+            counts[1] += 1
             if order[place] < number:
                 _try_face(rows, first, last, cx, cy, cz, sine, sx, sy, sz, inside, inverse, found, place)
             else:
                 _try_round(rows, first, sx, sy, sz, inverse, found, place)
-            if (at - begins[tile]) & 3 == 0:
+            if counts[1] & 3 == 0:
                 # Positive floats have the order of their bits, and the compiler vectorises the minimum of integers.
                 least = bits[0]
                 for i in range(count):
@@ -155,6 +173,17 @@ def compute_coverage(
                     share[used, 1], share[used, 2] = sums[kind, 1] / sums[kind, 0], sums[kind, 2] / sums[kind, 0]
                     used += 1
     return centre, mixed, which[:used], share[:used], counts
+
+
+@inner_per_pixel()
+def _is_outside(rows: Float32, first: int, last: int, cx: float, cy: float, cz: float, sine: float) -> bool:
+    """Return whether a tile lies outside an edge of a face; a sine above 1 is that of no cone."""
+    if sine > 1.0:
+        return False
+    for edge in range(first + 1, last):
+        if rows[edge, 0] * cx + rows[edge, 1] * cy + rows[edge, 2] * cz < -sine:
+            return True
+    return False
 
 
 @inner_per_pixel()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from mirror.arrays import Float64, Int64
+from mirror.arrays import Float64, Int32, Int64
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
 from mirror.portable import arrays
@@ -19,6 +20,9 @@ LEVELS: Final = 4
 FANOUT: Final = 4
 """A tile of one level is FANOUT tiles of the next finer level wide; the finest tiles are TILE_PX wide."""
 _MARGIN_PX: Final = 1.0
+_MOST_TILES: Final = 600
+"""Images with more tiles have no cells: at their scale few surfaces are small beside a tile."""
+_MOST_CELLS: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +35,19 @@ class Lens:
             of one pixel; level by level, the finest first, each in row-major order.
         levels: (LEVELS, 3) index of the first cone of a level, and its numbers of tiles down and across.
         pixel_rad: angle between neighbouring rays in the middle of the image.
+        cells: (6 S^2 + 1,) index of the first tile of each cell of directions: the cells of the S x S grids on the
+            faces +x, -x, +y, -y, +z, -z of a cube, row by row.
+        cell_tiles: tiles whose cones come within the angle of ``small`` of some direction of the cell.
+        small: sine of the half angle of the largest surface whose tiles the cells list; 0: there are no cells.
     """
 
     rays: Float64
     cones: Float64
     levels: Int64
     pixel_rad: float
+    cells: Int64
+    cell_tiles: Int32
+    small: float
 
     @cached_property
     def jacobian(self) -> ImageJacobian:
@@ -68,7 +79,43 @@ def make_lens(camera: Camera) -> Lens:
         cones.append(_cones(rays.direction, side, _MARGIN_PX * widest))
     middle = rays.direction[height // 2, max(width // 2 - 1, 0) : width // 2 + 1]
     apart = float(arrays.arccos(min(arrays.matmul(middle[0], middle[-1]), 1.0))) or 1.0 / camera.fx_px
-    return Lens(np.ascontiguousarray(rays.direction), np.concatenate(cones), levels, apart)
+    finest = cones[0]
+    cells, cell_tiles, small = make_cells(finest)
+    return Lens(
+        np.ascontiguousarray(rays.direction), np.concatenate(cones), levels, apart, cells, cell_tiles, small
+    )
+
+
+def make_cells(tiles: Float64) -> tuple[Int64, Int32, float]:
+    """List, for cells of directions, the tiles that a small surface in such a direction may touch.
+
+    Args:
+        tiles: (T, 5) axis, cosine and sine of the half angle of the cones of the finest tiles.
+
+    Returns:
+        The ``cells``, ``cell_tiles`` and ``small`` of a lens.
+    """
+    none = np.zeros(7, np.int64), np.zeros(0, np.int32), 0.0
+    if len(tiles) > _MOST_TILES or tiles[:, 3].min() < 0.5:
+        return none
+    small = float(tiles[:, 4].min())
+    side = min(int(2.0 / small) + 1, _MOST_CELLS)
+    edges = np.linspace(-1.0, 1.0, side + 1)
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    across, down = np.meshgrid(middle, middle)
+    axes = []
+    for face in range(6):
+        axis, sign = face // 2, 1.0 - 2.0 * (face % 2)
+        first, second = (other for other in range(3) if other != axis)
+        grid = np.empty((side, side, 3))
+        grid[..., axis], grid[..., first], grid[..., second] = sign, across, down
+        axes.append((grid / np.linalg.norm(grid, axis=2, keepdims=True)).reshape(-1, 3))
+    # No direction of a cell is farther from its middle than its corners, at most this far on the plane of its face.
+    half = 1.5 / side
+    reach = half + arrays.arcsin(tiles[:, 4]) + math.asin(small)
+    touches = np.einsum("ci,ti->ct", np.concatenate(axes), tiles[:, :3]) >= arrays.cos(reach)
+    begins = np.concatenate([[0], np.cumsum(touches.sum(axis=1))]).astype(np.int64)
+    return begins, np.nonzero(touches)[1].astype(np.int32), small
 
 
 def _cones(rays: Float64, side: int, margin_rad: float) -> Float64:

@@ -11,7 +11,7 @@ from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.synth.model import Label
-from mirror.synth.render.binning import build_ray_tests, build_tile_lists, find_facing
+from mirror.synth.render.binning import build_tile_lists, find_facing
 from mirror.synth.render.coverage import OFFSETS, SKY, compute_coverage
 from mirror.synth.render.lens import Lens
 from mirror.synth.render.shade import render_radiance
@@ -127,7 +127,7 @@ def rasterize_view(
     """
     rotation = np.ascontiguousarray(rotation, np.float64)
     x, y, z = (float(value) for value in origin)
-    chosen, nearest_m = find_facing(
+    order, nearest, starts = find_facing(
         scene.faces,
         scene.spheres,
         lens.cones,
@@ -139,15 +139,14 @@ def rasterize_view(
         0.5 * _SMALLEST_PX * lens.pixel_rad,
         ground,
     )
-    by_distance = np.argsort(nearest_m, kind="stable")
-    order, nearest = chosen[by_distance], nearest_m[by_distance]
-    starts, rows = build_ray_tests(scene.faces, scene.corners, scene.rounds, order, x, y, z)
-    begins, lists = build_tile_lists(
-        order, nearest, len(scene.faces), scene.spheres, starts, rows, lens.cones, lens.levels, rotation, x, y, z
-    )
+    begins, lists, rows, filled = build_tile_lists(
+        scene.faces, scene.corners, scene.rounds, order, nearest, scene.spheres, starts,
+        lens.cones, lens.levels, lens.cells, lens.cell_tiles, lens.small, rotation, x, y, z,
+    )  # fmt: skip
     surface, mixed, which, share, counts = compute_coverage(
-        lens.rays, rotation, offsets, lens.cones, begins, lists, order, len(scene.faces), nearest, starts, rows, mask
-    )
+        scene.faces, scene.corners, scene.rounds, lens.rays, rotation, x, y, z, offsets, lens.cones, begins, lists,
+        order, nearest, starts, rows, filled, mask,
+    )  # fmt: skip
     counted = {
         "surfaces": len(scene.spheres), "facing": len(order), "near": len(lists), "tried": int(counts[1]),
         "tiles": int(counts[0]),

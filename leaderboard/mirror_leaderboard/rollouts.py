@@ -20,7 +20,7 @@ from mirror.protocols.document import Protocol
 from mirror.schema.documents import FileEntry
 from mirror.schema.files import sha256_bytes
 from mirror.schema.road_map import encode_road_map
-from mirror.schema.rollout import MAP_FILE, ROLLOUT, SCENARIO_FILE, STATES_FILE, Rollout
+from mirror.schema.rollout import BY_POLICY, MAP_FILE, ROLLOUT, SCENARIO_FILE, STATES_FILE, Rollout
 from mirror.schema.scenario import Scenario, encode_scenario, read_scenario
 from mirror_leaderboard.refused import RefusedError
 from mirror_leaderboard.rescore import RolloutPlan, require_equal, require_equal_figures
@@ -208,7 +208,7 @@ def check_rollout(folder: Path, one: ScoredRollout, task: AskedDrive, protocol: 
     from hybridworldsim.simulator.rollout.driven_again import drive_again
 
     log, rollout, scenario = _read_possible(folder), one.rollout, task.scenario
-    if rollout.ending == "policy":
+    if rollout.ending in BY_POLICY:
         raise RefusedError(
             f"the policy ended the rollout after {rollout.steps} steps: nobody knows what would have come then",
             file=folder / ROLLOUT, place="ending", expected="rollouts to their end", remedy=_UNVERIFIED,

@@ -66,6 +66,8 @@ class Arguments:
     measure: Annotated[str | None, help_text(default="none", metavar="METHOD=MODEL")] = None
     """Measure the rendering speed of a method, an installed one (entry points mirror.methods) or FILE.py:OBJECT, with
     this model folder."""
+    secret: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
+    """For rollouts of a suite with a secret: the organiser's file of it."""
     features: Annotated[Path | None, help_text(default="in --out", metavar="FOLDER")] = None
     """Folder of cached features of true images, which evaluations may share."""
     workers: int = field(default_factory=lambda: min(os.cpu_count() or 1, 2))
@@ -88,6 +90,8 @@ def main(argv: Sequence[str]) -> int:
 
     if arguments.submission is None:
         return _evaluate_rollouts(arguments)
+    if arguments.secret is not None:
+        raise UsageError("a submission of renders", place="--secret", expected="rollouts of a suite")
     if arguments.baseline and not arguments.report:
         raise UsageError("--baseline is shown in the report", expected="--report beside it")
     device = resolve_device(arguments.device)
@@ -137,6 +141,7 @@ def _evaluate_rollouts(arguments: Arguments) -> ExitCode:
     from mirror.evaluation.rollouts import evaluate_rollouts
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
+    from mirror.protocols.suite import read_secret
 
     folder = local_path(Path(arguments.dataset), "DATASET")
     unused = {
@@ -159,8 +164,13 @@ def _evaluate_rollouts(arguments: Arguments) -> ExitCode:
     named_folder = folder if folder.name else folder.absolute()
     out = arguments.out or named_folder.with_name(f"{named_folder.name}-results")
     protocol = load_protocol(arguments.protocol or "safety")
+    secret = None
+    if protocol.suite is not None:
+        secret = read_secret(arguments.secret, protocol.suite, protocol.name)
+    elif arguments.secret is not None:
+        raise UsageError(f"protocol {protocol.name} has no suite", place="--secret", expected="a suite with a secret")
     with progress_bar(quiet=arguments.json) as bar:
-        evaluation = evaluate_rollouts(folder, protocol, out, bar)
+        evaluation = evaluate_rollouts(folder, protocol, out, bar, secret=secret)
     result, page = evaluation.result, out / "report.html" if arguments.report else None
     if page is not None:
         from mirror.evaluation.rollout_report import write_rollout_report

@@ -21,11 +21,11 @@ from mirror.evaluation.submission.manifest import Appearance, SubmissionManifest
 from mirror.evaluation.versions import list_versions
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
-from mirror.protocols.suite import Suite, list_drives
+from mirror.protocols.suite import SuiteDrive, list_drives
 from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import FolderKind, find_kind, require_output_folder
 from mirror.schema.hashing import HashStyle, hash_document
-from mirror.schema.rollout import MAP_FILE, ROLLOUT, SCENARIO_FILE, Rollout, read_rollout
+from mirror.schema.rollout import BY_POLICY, MAP_FILE, ROLLOUT, SCENARIO_FILE, Rollout, read_rollout
 from mirror.schema.scenario import encode_scenario
 
 _OTHERS: Final = {
@@ -51,7 +51,12 @@ class RolloutEvaluation:
 
 
 def evaluate_rollouts(
-    folder: Path, protocol: Protocol, out: Path, progress: ProgressReporter | None = None
+    folder: Path,
+    protocol: Protocol,
+    out: Path,
+    progress: ProgressReporter | None = None,
+    *,
+    secret: bytes | None = None,
 ) -> RolloutEvaluation:
     """Score rollouts of one policy and write ``result.json`` and the table of their values.
 
@@ -60,6 +65,7 @@ def evaluate_rollouts(
         protocol: a protocol of the task ``safety``.
         out: folder for the results.
         progress: receives the progress.
+        secret: the organiser's secret of the suite; None: it has none.
 
     Raises:
         UsageError: the protocol has another task, there is no rollout, rollouts are of several policies or worlds, one
@@ -80,7 +86,8 @@ def evaluate_rollouts(
     rollouts = {path: read_rollout(path) for path in folders}
     _require_one_policy(rollouts)
     if protocol.suite is not None:
-        _require_whole_suite(rollouts, protocol.suite, protocol.name, folder)
+        drives, renderer = list_drives(protocol.suite, secret), protocol.suite.renderer
+        _require_whole_suite(rollouts, drives, renderer, protocol.name, folder)
     progress.start("scoring rollouts", len(rollouts))
     scored = []
     for path, rollout in rollouts.items():
@@ -168,10 +175,12 @@ def _require_one_policy(rollouts: dict[Path, Rollout]) -> None:
             )
 
 
-def _require_whole_suite(rollouts: dict[Path, Rollout], suite: Suite, name: str, folder: Path) -> None:
+def _require_whole_suite(
+    rollouts: dict[Path, Rollout], drives: Sequence[SuiteDrive], renderer: str, name: str, folder: Path
+) -> None:
     """Refuse rollouts that are not exactly the drives of a suite."""
     again = f"mirror simulate --suite {name} drives what is missing, in the same folder"
-    asked = {drive.key: drive for drive in list_drives(suite)}
+    asked = {drive.key: drive for drive in drives}
     given = {(one.scene_id, one.scenario, one.seed): path for path, one in rollouts.items()}
     for key, path in given.items():
         if key not in asked:
@@ -179,10 +188,14 @@ def _require_whole_suite(rollouts: dict[Path, Rollout], suite: Suite, name: str,
                 f"scenario {key[1]} with seed {key[2]} in scene {key[0]} is no drive of the suite {name}", file=path,
                 expected="the drives of the suite alone", remedy="evaluate it by the protocol safety",
             )  # fmt: skip
-        if rollouts[path].world != suite.renderer:
+        if rollouts[path].world != renderer:
+            raise UsageError(f"its images are of {rollouts[path].world}", file=path, expected=renderer, remedy=again)
+        fault = asked[key].sensors
+        if rollouts[path].sensors != (None if fault is None else fault.name):
             raise UsageError(
-                f"its images are of {rollouts[path].world}", file=path, expected=suite.renderer, remedy=again
-            )
+                f"the fault of its sensors is {rollouts[path].sensors!r}", file=path / ROLLOUT,
+                expected="none" if fault is None else repr(fault.name), remedy=again,
+            )  # fmt: skip
         if (path / SCENARIO_FILE).read_bytes() != encode_scenario(asked[key].scenario):
             raise UsageError(
                 "the scenario is not that of the suite", file=path / SCENARIO_FILE, expected=name, remedy=again
@@ -221,7 +234,7 @@ def _list_warnings(scored: Sequence[ScoredRollout], protocol: Protocol) -> list[
             f"the road map of {fitted} of {len(scored)} rollouts was fitted to driven lines: nothing is known of where"
             " nobody drove, so that drivable margins are lower bounds"
         )
-    failed = [one for one in scored if one.rollout.ending == "policy"]
+    failed = [one for one in scored if one.rollout.ending in BY_POLICY]
     if failed:
         # The folder itself may be the rollout.
         place = "" if failed[0].path == "." else f" {failed[0].path}:"

@@ -21,9 +21,12 @@ REQUIRED_FILES: Final = (STATES_FILE, SCENARIO_FILE, MAP_FILE)
 
 World = Literal["exact", "reconstructed", "generated", "boxes"]
 """The source of the images: the synthetic street, a trained model, a generative model, or wireframes of boxes."""
-Ending = Literal["duration", "collision", "route_end", "left_street", "policy", "interrupted"]
+Ending = Literal["duration", "collision", "route_end", "left_street", "off_road", "policy", "deadline", "interrupted"]
 """The reason of a rollout's end: its time was over; the ego touched an agent; it came to the end of its route; it left
-the part of the street that can be rendered; the policy failed or was too slow; the user interrupted it."""
+the part of the street that can be rendered; in a suite, its whole body left the drivable area; the policy failed; the
+policy was too slow; the user interrupted it."""
+BY_POLICY: Final = ("policy", "deadline")
+"""Endings that a policy causes by its program, not by its driving."""
 MapSource = Literal["synthetic", "file", "dataset", "fitted"]
 """The source of the road map: the synthetic street; a file that the user named; the recorded map of the dataset; fitted
 to the driven lines of the recordings."""
@@ -52,6 +55,7 @@ class Rollout(Document):
         reason: an explanation of the ending, for instance the policy's error.
         route_m: points (x, y) of the ego's route in the scene's frame, in order.
         threads: number of threads of the renderer; None: nothing was rendered.
+        sensors: name of the fault of the sensors, as the suite has it; None: they had none. The hash omits None.
         views: what became of the views of a drive with generated road users; None: all are rendered alike.
         versions: versions of the toolkit and of packages that affect the rollout.
         files: size and SHA-256 of the files, by path relative to the folder.
@@ -75,6 +79,7 @@ class Rollout(Document):
     reason: str | None = None
     route_m: tuple[tuple[Number, Number], ...]
     threads: int | None = None
+    sensors: str | None = Field(default=None, exclude_if=lambda name: name is None)
     views: dict[str, int] | None = Field(default=None, exclude_if=lambda views: views is None)
     versions: dict[str, str]
     files: dict[str, FileEntry]

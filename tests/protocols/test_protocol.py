@@ -78,7 +78,9 @@ def test_hashes_of_shipped_protocols_are_unchanged() -> None:
     # Results contain these hashes. A change of the measurement needs a higher version and its new hash here.
     assert {(name, load_protocol(name).version): load_protocol(name).hash[:8] for name in protocol_names()} == {
         ("annotation", 2): "c4cbb638",
+        ("closed-loop", 1): "d06a5ee4",
         ("closed-loop-mini", 1): "c712b090",
+        ("closed-loop-robust", 1): "7ab7634e",
         ("editing-accuracy", 2): "0c21f36d",
         ("editing-accuracy-small", 2): "b6f4d7c2",
         ("generation", 2): "8417feae",

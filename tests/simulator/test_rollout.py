@@ -126,7 +126,7 @@ def test_a_policy_that_fails_ends_the_rollout_with_its_name_and_a_complete_log(
     result = run_rollout(request(Scripted(answer, ("rear",)), deadline_s=deadline_s, video=("rear",)), tmp_path / "run")
     assert result.error is not None
     rollout = read_rollout(tmp_path / "run")
-    assert rollout.ending == "policy"
+    assert rollout.ending == ("deadline" if answer is sleep else "policy")
     assert rollout.reason is not None
     assert reason in rollout.reason and "'test'" in rollout.reason
     assert rollout.steps == 7

@@ -47,11 +47,17 @@ class Arguments:
     """Folder of a model of the scene, which `mirror reconstruct` wrote: it renders the images."""
     scenario: Annotated[str | None, help_text(default="that of --replay", metavar="NAME|FILE.toml")] = None
     """Name of a scenario, or path of its .toml file."""
-    policy: Annotated[
-        str | None, help_text(default="the controls of --replay", metavar="NAME|FILE.py:CLASS|grpc://HOST:PORT")
-    ] = None
-    """An installed policy (idm, log, stop, constant-velocity, or another one of the entry points mirror.policies), or
-    the address of a driver that serves AlpaSim's EgodriverService. The connection is not encrypted."""
+    policy: Annotated[str | None, help_text(default="the controls of --replay", metavar="NAME|FILE.py:CLASS|...")] = (
+        None
+    )
+    """An installed policy (idm, log, stop, constant-velocity, or another one of the entry points mirror.policies), a
+    class in a file, or the address grpc://HOST:PORT of a driver that serves AlpaSim's EgodriverService; the connection
+    is not encrypted. With --suite also sandbox:FILE.py:CLASS, sandbox:COMMAND and container:IMAGE: the policy runs
+    apart, without network and files of this machine."""
+    policy_folder: Annotated[Path | None, help_text(default="that of FILE.py, or none", metavar="FOLDER")] = None
+    """With --policy sandbox:...: the files that the policy sees, as /policy."""
+    secret: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
+    """With --suite: the organiser's secret, from which the parameters of a test split's scenarios follow."""
     driver: Annotated[Path | None, help_text(default="front_wide as JPEG, 30 s", metavar="FILE.toml")] = None
     """Cameras, lens, image format and deadline of a driver at an address."""
     renderer: Annotated[
@@ -102,8 +108,8 @@ class Arguments:
     replay: Annotated[Path | None, help_text(default="none", metavar="RUN")] = None
     """Repeat the controls of an earlier rollout on its street, with its scenario and seed, and compare the states."""
     suite: Annotated[str | None, help_text(default="none", metavar="NAME|FILE.toml")] = None
-    """Drive all drives of a protocol with a suite, such as closed-loop-mini; of the options, only --policy, --out,
-    --workers and --json count. Repeat the command after an interruption."""
+    """Drive all drives of a protocol with a suite, such as closed-loop; of the options, only --policy, --policy-folder,
+    --secret, --out, --workers and --json count. Repeat the command after an interruption."""
     workers: Annotated[int | None, help_text(default="the number of cores")] = None
     """Number of processes of --suite."""
     json: bool = False
@@ -117,6 +123,14 @@ def main(argv: Sequence[str]) -> int:
         return _drive_suite(arguments, arguments.suite)
     if arguments.workers is not None:
         raise UsageError("a single drive has one process", place="--workers", expected="--suite NAME")
+    for option, given in (("--policy-folder", arguments.policy_folder), ("--secret", arguments.secret)):
+        if given is not None:
+            raise UsageError(f"{given}", place=option, expected="--suite NAME beside it")
+    if arguments.policy is not None and arguments.policy.partition(":")[0] in ("sandbox", "container"):
+        raise UsageError(
+            f"{arguments.policy!r} in a single drive", place="--policy", expected="--suite NAME beside it",
+            remedy="drive a suite, or serve the policy and name its address: grpc://HOST:PORT",
+        )  # fmt: skip
 
     from hybridworldsim.simulator.rollout.run import require_new_rollout, run_rollout
     from mirror.progress import progress_bar
@@ -134,27 +148,32 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _drive_suite(arguments: Arguments, suite: str) -> int:
-    from hybridworldsim.simulator.suite import drive_suite
+    from hybridworldsim.simulator.isolation.choice import PolicyChoice
+    from hybridworldsim.simulator.suite import drive_suite, require_suite
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
+    from mirror.protocols.suite import read_secret
 
-    kept = ("policy", "out", "suite", "workers", "json")
+    kept = ("policy", "policy_folder", "secret", "out", "suite", "workers", "json")
     for field in fields(Arguments):
         if field.name not in kept and getattr(arguments, field.name) != field.default:
             raise UsageError(
                 "the suite states it", place="DATASET" if field.name == "source" else f"--{field.name}",
-                expected="--suite, --policy, --out, --workers and --json alone",
+                expected="--suite, --policy, --policy-folder, --secret, --out, --workers and --json alone",
             )  # fmt: skip
     if arguments.policy is None or "://" in arguments.policy:
         raise UsageError(
-            arguments.policy or "no policy", place="--policy", expected="an installed policy, or FILE.py:CLASS"
-        )
+            arguments.policy or "no policy", place="--policy",
+            expected="an installed policy, FILE.py:CLASS, sandbox:COMMAND or container:IMAGE",
+        )  # fmt: skip
     workers = arguments.workers if arguments.workers is not None else os.cpu_count() or 1
     if workers < 1:
         raise UsageError(f"{workers} processes", place="--workers", expected="at least 1")
     protocol = load_protocol(suite)
+    policy = PolicyChoice.parse(arguments.policy, arguments.policy_folder)
+    secret = read_secret(arguments.secret, require_suite(protocol), protocol.name)
     with progress_bar(quiet=arguments.json) as bar:
-        done = drive_suite(protocol, arguments.policy, arguments.out, workers=workers, reporter=bar)
+        done = drive_suite(protocol, policy, arguments.out, workers=workers, reporter=bar, secret=secret)
     if arguments.json:
         print(json.dumps({"run": str(arguments.out), **asdict(done)}))
     else:

@@ -25,12 +25,13 @@ from hybridworldsim.simulator.policies.protocol import (
     PlannedTrajectory,
     PrivilegedState,
 )
+from hybridworldsim.simulator.street.obstacles import corners_of
 from hybridworldsim.simulator.street.route import RoutePlan, plan_route
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import SimulatedWorld, Snapshot, StateRecorder, state_log
 from mirror.arrays import Float64, Int64, UInt8
 from mirror.errors import UsageError
-from mirror.metrics.safety import find_collisions
+from mirror.metrics.safety import find_collisions, inside_area
 from mirror.schema.rollout import Ending
 from mirror.schema.scenario import RecordedStart, Scenario
 
@@ -51,6 +52,7 @@ class Simulation:
         recorder: the states so far.
         stops_at_collision: whether a contact of the ego ends the rollout.
         recorded: recorded trajectory of the ego in the times of the rollout; None: the ego does not start on it.
+        ends_off_road: whether the rollout ends where the whole body of the ego is off the drivable area.
     """
 
     street: Street
@@ -61,11 +63,13 @@ class Simulation:
     recorder: StateRecorder
     stops_at_collision: bool = True
     recorded: Trajectory | None = None
+    ends_off_road: bool = False
 
     def __post_init__(self) -> None:
         self._tracker = TrajectoryTracker(self.street.vehicle, self.step_s)
         self._controls = Controls(0.0, 0.0)
         self._trajectory: Trajectory | None = None
+        self._rings = self.street.road_map.drivable_rings
 
     @property
     def step_s(self) -> float:
@@ -174,7 +178,14 @@ class Simulation:
             return "route_end"
         if np.hypot(*(ego - np.array(self.street.middle_m))) > self.street.radius_m + _STREET_MARGIN_M:
             return "left_street"
+        if self.ends_off_road and self._is_off_road():
+            return "off_road"
         return None
+
+    def _is_off_road(self) -> bool:
+        box = self.now.boxes().states[0]
+        corners = corners_of(box[[0, 1, 2, 4, 5]])
+        return not inside_area(np.concatenate([corners, box[None, :2]]), self._rings).any()
 
 
 def start_simulation(
@@ -183,6 +194,7 @@ def start_simulation(
     seed: int | None = None,
     *,
     stops_at_collision: bool = True,
+    ends_off_road: bool = False,
     scenario_file: str | None = None,
 ) -> Simulation:
     """Start a rollout.
@@ -192,18 +204,21 @@ def start_simulation(
         scenario: the scenario.
         seed: seed of the rollout; None: that of the scenario.
         stops_at_collision: whether a contact of the ego ends the rollout.
+        ends_off_road: whether it ends where the whole body of the ego is off the drivable area.
         scenario_file: file of the scenario, which errors name; None: it is of no file.
 
     Raises:
         UsageError: the scenario does not fit on the street.
     """
     try:
-        return _start(street, scenario, scenario.seed if seed is None else seed, stops_at_collision)
+        started = _start(street, scenario, scenario.seed if seed is None else seed, stops_at_collision)
     except UsageError as error:
         raise UsageError(
             error.problem, file=error.file or scenario_file, place=error.place, expected=error.expected,
             remedy=error.remedy,
         ) from error  # fmt: skip
+    started.ends_off_road = ends_off_road
+    return started
 
 
 def _start(street: Street, scenario: Scenario, chosen: int, stops_at_collision: bool) -> Simulation:

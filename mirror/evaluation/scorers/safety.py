@@ -18,7 +18,7 @@ from mirror.protocols.document import Protocol
 from mirror.protocols.metrics import DrivableArea, LeastTtc
 from mirror.protocols.views.view import RenderView
 from mirror.schema.road_map import RoadMap, read_road_map
-from mirror.schema.rollout import MAP_FILE, SCENARIO_FILE, STATES_FILE, Rollout
+from mirror.schema.rollout import BY_POLICY, MAP_FILE, SCENARIO_FILE, STATES_FILE, Rollout
 from mirror.schema.scenario import Scenario, read_scenario
 
 _DRIVING_SCORES: Final = ("epdms", "pdms")
@@ -94,7 +94,7 @@ def score_drive(
     least = values.get("least_ttc")
     if least is not None:
         values["least_ttc"] = min(least, horizon_s)
-    if protocol.suite is not None and rollout.ending == "policy":
+    if protocol.suite is not None and rollout.ending in BY_POLICY:
         values |= {name: protocol.suite.failed for name in _DRIVING_SCORES if name in values}
     reasons = {name: figure.reason for name, figure in figures.items() if figure.reason is not None}
     causes = {name: figure.cause for name, figure in figures.items() if figure.cause is not None}

@@ -1,7 +1,7 @@
 """Visibility culling: lists the surfaces that each tile of a view may show, nearest first.
 
-Most surfaces of a view that has few tiles are small beside a tile and are hidden. Their tiles are looked up by direction,
-and the coefficients of their rays are built when a tile tries them.
+Most surfaces of a view that has few tiles are small beside a tile, and are hidden. Their tiles are looked up by
+direction, and the coefficients of their rays are built when a tile tries them.
 """
 
 from __future__ import annotations

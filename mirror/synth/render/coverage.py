@@ -178,12 +178,10 @@ def compute_coverage(
 @inner_per_pixel()
 def _is_outside(rows: Float32, first: int, last: int, cx: float, cy: float, cz: float, sine: float) -> bool:
     """Return whether a tile lies outside an edge of a face; a sine above 1 is that of no cone."""
-    if sine > 1.0:
-        return False
+    outside = False
     for edge in range(first + 1, last):
-        if rows[edge, 0] * cx + rows[edge, 1] * cy + rows[edge, 2] * cz < -sine:
-            return True
-    return False
+        outside = outside or rows[edge, 0] * cx + rows[edge, 1] * cy + rows[edge, 2] * cz < -sine
+    return outside
 
 
 @inner_per_pixel()

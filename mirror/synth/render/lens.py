@@ -81,9 +81,7 @@ def make_lens(camera: Camera) -> Lens:
     apart = float(arrays.arccos(min(arrays.matmul(middle[0], middle[-1]), 1.0))) or 1.0 / camera.fx_px
     finest = cones[0]
     cells, cell_tiles, small = make_cells(finest)
-    return Lens(
-        np.ascontiguousarray(rays.direction), np.concatenate(cones), levels, apart, cells, cell_tiles, small
-    )
+    return Lens(np.ascontiguousarray(rays.direction), np.concatenate(cones), levels, apart, cells, cell_tiles, small)
 
 
 def make_cells(tiles: Float64) -> tuple[Int64, Int32, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float32, Float64, Int64, Records, UInt8
+from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.portable import arrays, scalars
 from mirror.schema.documents import Roi
@@ -179,6 +181,19 @@ class Scene:
         maps["ground_origin"] = -reach
         spheres = bounding_spheres(model.faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)))
         return _StaticScene(model, spheres, shadow, lamps, ground, layouts, maps)
+
+    def with_road_users(self, road_users: Sequence[RoadUser], ego_model: Model, *, clock_s: float = 0.0) -> Scene:
+        """Return the scene with other road users, which shares the parts that do not depend on them.
+
+        Raises:
+            UsageError: a road user of one of the scenes stands for good: the fixed part then depends on it.
+        """
+        if any(_is_static(user) for user in (*self.road_users, *road_users)):
+            raise UsageError("a road user that never moves", place="road_users", expected="road users with a motion")
+        self.prepare()
+        other = copy.copy(self)
+        other.road_users, other.ego_model, other.clock_s = tuple(road_users), ego_model, clock_s
+        return other
 
     def prepare(self) -> None:
         """Compute the parts that all instants share."""

@@ -19,6 +19,10 @@ ROUTE_STEP_M: Final = 2.0
 ROUTE_POINTS: Final = 40
 
 
+class LateError(UsageError):
+    """A policy did not answer within its deadline."""
+
+
 @dataclass(frozen=True, eq=False)
 class CameraSpec:
     """A camera whose images a policy gets.

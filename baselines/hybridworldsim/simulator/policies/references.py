@@ -77,7 +77,7 @@ class LaneKeeping(_Reference):
     1992), and stops at closed stop lines.
     """
 
-    def act(self, observation: Observation) -> Action:
+    def act(self, observation: Observation) -> Controls:
         """Return the controls."""
         state, vehicle = _state(observation), self.spec.vehicle
         ego, route = state.ego, state.route_m

@@ -14,6 +14,7 @@ import numpy as np
 from hybridworldsim.simulator.ego.vehicle import curvature_of
 from hybridworldsim.simulator.policies.protocol import (
     Action,
+    LateError,
     NoPlanYet,
     Observation,
     ObservationSpec,
@@ -29,6 +30,7 @@ from mirror.arrays import Float64
 from mirror.errors import UsageError
 
 SCHEME: Final = "grpc://"
+SOCKET: Final = "unix:"
 _MAX_SENT: Final = 64 << 20
 _MAX_RECEIVED: Final = 4 << 20
 _CLOSE_S: Final = 1.0
@@ -52,7 +54,7 @@ class RemotePolicy:
     begin and the end of their exposure. Nothing that a driver sends is executed or unpickled.
 
     Args:
-        address: ``grpc://HOST:PORT``; the connection is not encrypted.
+        address: ``grpc://HOST:PORT``, or ``unix:PATH`` of a socket; the connection is not encrypted.
         driver: what the driver gets, and its deadline.
 
     Raises:
@@ -247,7 +249,7 @@ class RemotePolicy:
 
         code, details = error.code(), " ".join(str(error.details()).split())[:200]
         if code == grpc.StatusCode.DEADLINE_EXCEEDED:
-            return UsageError(
+            return LateError(
                 f"no answer within {self._driver.deadline_s:g} s", place=name,
                 expected=f"an answer of {self._target}", remedy="allow the driver more time: --deadline",
             )  # fmt: skip
@@ -267,7 +269,9 @@ def require_driver(address: str) -> None:
 
 
 def _target_of(address: str) -> str:
-    """HOST:PORT of an address."""
+    """HOST:PORT of an address; that of a socket is one."""
+    if address.startswith(SOCKET):
+        return address
     target = address.removeprefix(SCHEME)
     host, colon, port = target.rpartition(":")
     is_port = port.isascii() and port.isdigit() and 0 < int(port) <= LAST_PORT

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,7 +18,11 @@ from mirror.errors import UsageError
 from mirror.schema.scenario import Scenario
 from mirror.synth import Condition, instant_of
 
+if TYPE_CHECKING:
+    from mirror.synth import Scene, SynthDrive
+
 _NOISE_SEEDS = 1 << 31
+_SCENES_HELD: Final = 2
 
 
 class ExactRenderer(Renderer):
@@ -46,7 +52,7 @@ class ExactRenderer(Renderer):
         *,
         shows_ego: bool = True,
     ) -> None:
-        from mirror.synth import Model, Scene
+        from mirror.synth import Model
 
         if street.drive is None:
             raise UsageError(
@@ -60,7 +66,7 @@ class ExactRenderer(Renderer):
         condition = condition_of(street, scenario)
         drive = street.drive
         ego = drive.ego_model if shows_ego else Model.empty()
-        self._scene = Scene(drive.world, condition, self._live.users, ego, clock_s=street.clock_s)
+        self._scene = _empty_scene(drive, condition).with_road_users(self._live.users, ego, clock_s=street.clock_s)
         self._masks: dict[str, Int32] = {}
 
     def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
@@ -79,6 +85,16 @@ class ExactRenderer(Renderer):
     def agent_masks(self) -> Mapping[str, Int32]:
         """Return, for the last images, the number (H, W) of the agent that each pixel shows; -1: none."""
         return self._masks
+
+
+@lru_cache(maxsize=_SCENES_HELD)
+def _empty_scene(drive: SynthDrive, condition: Condition) -> Scene:
+    """Make the scene without road users, whose fixed surfaces and shadows its drives share."""
+    from mirror.synth import Model, Scene
+
+    scene = Scene(drive.world, condition, (), Model.empty())
+    scene.prepare()
+    return scene
 
 
 def condition_of(street: Street, scenario: Scenario) -> Condition:

@@ -7,13 +7,17 @@ import queue
 import threading
 from collections.abc import Callable
 
-from hybridworldsim.simulator.policies.protocol import Action, Observation, ObservationSpec, Policy
+from hybridworldsim.simulator.policies.protocol import Action, LateError, Observation, ObservationSpec, Policy
 from mirror.errors import MirrorError
 from mirror.plugins import error_in_plugin
 
 
 class PolicyError(MirrorError):
     """The policy failed, returned no valid action, or was too slow."""
+
+
+class DeadlineError(PolicyError):
+    """The policy was too slow."""
 
 
 class PolicyRunner:
@@ -66,7 +70,7 @@ class PolicyRunner:
             answer = self._answers.get(timeout=None if math.isinf(deadline_s) else deadline_s)
         except queue.Empty:
             self._is_silent = True
-            raise PolicyError(
+            raise DeadlineError(
                 f"no answer within {deadline_s:g} s", place=f"policy {self._name!r}",
                 expected="an action for every observation", remedy="allow it more time: --deadline",
             ) from None  # fmt: skip
@@ -86,7 +90,8 @@ class PolicyRunner:
     def _guarded(self, answer: object, error: Exception | None) -> object:
         if isinstance(error, MirrorError):
             place = f"policy {self._name!r}" + (f", {error.place}" if error.place else "")
-            raise PolicyError(error.problem, place=place, expected=error.expected, remedy=error.remedy) from error
+            kind = DeadlineError if isinstance(error, LateError) else PolicyError
+            raise kind(error.problem, place=place, expected=error.expected, remedy=error.remedy) from error
         if error is not None:
             named = error_in_plugin(error)
             if named is not None:

@@ -33,7 +33,9 @@ class DrivenAgain:
     route_m: tuple[tuple[float, float], ...]
 
 
-def drive_again(street: Street, scenario: Scenario, controls: Sequence[Controls]) -> DrivenAgain:
+def drive_again(
+    street: Street, scenario: Scenario, controls: Sequence[Controls], *, ends_off_road: bool = False
+) -> DrivenAgain:
     """Drive a rollout by the given controls of each step, until the rollout ends or no controls are left.
 
     The same street, scenario and controls give the same states as `run_rollout` with a policy that answers them.
@@ -42,11 +44,12 @@ def drive_again(street: Street, scenario: Scenario, controls: Sequence[Controls]
         street: the street.
         scenario: the scenario, whose seed is that of the rollout.
         controls: the controls.
+        ends_off_road: whether the rollout ends where the whole body of the ego is off the drivable area.
 
     Raises:
         UsageError: the scenario does not fit on the street.
     """
-    simulation = start_simulation(street, scenario)
+    simulation = start_simulation(street, scenario, ends_off_road=ends_off_road)
     ending: Ending | None = None
     for one in controls:
         ending = simulation.advance(one)

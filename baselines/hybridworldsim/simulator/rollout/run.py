@@ -18,7 +18,8 @@ from hybridworldsim.simulator.renderers.protocol import Renderer
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, write_actions
 from hybridworldsim.simulator.rollout.curves import list_curves
-from hybridworldsim.simulator.rollout.deadline import PolicyError, PolicyRunner
+from hybridworldsim.simulator.rollout.deadline import DeadlineError, PolicyError, PolicyRunner
+from hybridworldsim.simulator.rollout.faulty_sensors import FaultySensors
 from hybridworldsim.simulator.rollout.mosaic import bird_eye, mosaic
 from hybridworldsim.simulator.rollout.page import PAGE_FILE, DriveContent, write_page
 from hybridworldsim.simulator.simulation import Simulation, start_simulation
@@ -29,6 +30,7 @@ from mirror.errors import MirrorError, UsageError
 from mirror.metrics.safety import StateLogWriter
 from mirror.metrics.safety.report import SafetyReport, score_rollout
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.protocols.sensor_faults import SensorFault
 from mirror.schema.files import write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.road_map import write_road_map
@@ -68,6 +70,8 @@ class RolloutRequest:
         dataset_hash: hash of the dataset that was driven in.
         model_hash: hash of the model that renders.
         page: write a page with the video, curves over its time and the figures of the safety.
+        ends_off_road: whether the drive ends where the whole body of the ego is off the drivable area.
+        sensors: the fault of the sensors; None: they have none.
         scenario_file: file of the scenario, which errors name; None: it is of no file.
     """
 
@@ -83,6 +87,8 @@ class RolloutRequest:
     dataset_hash: str | None = None
     model_hash: str | None = None
     page: bool = False
+    ends_off_road: bool = False
+    sensors: SensorFault | None = None
     scenario_file: str | None = None
 
 
@@ -146,9 +152,13 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
             f"policy {request.policy_name!r} needs camera {missing!r}", expected=f"one of {', '.join(request.cameras)}"
         )
     request.factory.require_model_of(request.street)
-    simulation = start_simulation(request.street, request.scenario, request.seed, scenario_file=request.scenario_file)
-    renderer = request.factory.make(simulation, request.cameras) if needed else None
-    drive = _Drive(request, simulation, renderer, tuple(needed), reporter or NullProgress())
+    simulation = start_simulation(
+        request.street, request.scenario, request.seed, ends_off_road=request.ends_off_road,
+        scenario_file=request.scenario_file,
+    )  # fmt: skip
+    sensors = FaultySensors(request.sensors, simulation.seed)
+    renderer = request.factory.make(simulation, sensors.turn(request.cameras)) if needed else None
+    drive = _Drive(request, simulation, renderer, sensors, tuple(needed), reporter or NullProgress())
     if kind is not None:
         shutil.rmtree(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -197,11 +207,12 @@ class _Drive:
         request: RolloutRequest,
         simulation: Simulation,
         renderer: Renderer | None,
+        sensors: FaultySensors,
         cameras: Sequence[str],
         reporter: ProgressReporter,
     ) -> None:
         self._request, self._simulation, self.renderer = request, simulation, renderer
-        self._cameras, self._reporter = tuple(cameras), reporter
+        self._cameras, self._reporter, self._sensors = tuple(cameras), reporter, sensors
         self.actions: list[Controls] = []
         self.ending: Ending = "interrupted"
         self.error: MirrorError | None = None
@@ -223,7 +234,8 @@ class _Drive:
                     break
                 if simulation.now.step == 0:
                     runner.reset(simulation.observation_spec(specs))
-                seen = {name: images[name] for name in request.policy.cameras}
+                sound = {name: images[name] for name in request.policy.cameras}
+                seen = self._sensors.change(sound, simulation.now.step, simulation.now.time_s)
                 action = runner.act(simulation.observe(seen, privileged=request.policy.privileged))
                 try:
                     ending = simulation.advance(action)
@@ -235,13 +247,14 @@ class _Drive:
                 self.actions.append(simulation.controls)
                 self._reporter.advance(1)
         except PolicyError as error:
-            self.error, self.ending = error, "policy"
+            self.error, self.ending = error, "deadline" if isinstance(error, DeadlineError) else "policy"
         finally:
             try:
                 runner.close()
             except PolicyError as error:
                 # What failed first is the reason.
-                self.error, self.ending = self.error or error, "policy"
+                if self.error is None:
+                    self.error, self.ending = error, "policy"
 
     def _render(self) -> Mapping[str, UInt8]:
         if self.renderer is None:
@@ -304,6 +317,7 @@ def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, ou
         rate_hz=request.scenario.rate_hz,
         steps=simulation.now.step,
         ending=drive.ending,
+        sensors=None if request.sensors is None else request.sensors.name,
         reason=None if drive.error is None else str(drive.error),
         views=None if drive.renderer is None else drive.renderer.view_counts(),
         route_m=tuple((float(x), float(y)) for x, y in simulation.route.way.points),

@@ -1,0 +1,1 @@
+"""Policies that run apart from this machine: no network, nothing to write, bounded memory, processes and time."""

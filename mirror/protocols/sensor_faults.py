@@ -10,7 +10,7 @@ from mirror.schema.documents import Document, Identifier
 class SensorFault(Document):
     """A fault of the sensors: how the images that a policy gets differ from those of a sound rig.
 
-    The lens and mounting that the policy is told are those of the sound rig. Strengths of 0 change nothing.
+    The lens and mounting in the policy's specification are those of the sound rig. Strengths of 0 change nothing.
 
     Attributes:
         name: its name.

@@ -57,7 +57,7 @@ class SuiteStart(Document):
 
 
 class SuiteDraw(Document):
-    """How each drive varies the parameters of its scenario, by draws from a public seed or from a secret.
+    """The draws by which each drive varies the parameters of its scenario, from a public seed or from a secret.
 
     Distances, speeds and times of the agents are multiplied by 1 + ``spread`` u, each with its own u of -1 to 1; the
     start lies up to ``along_m`` farther, and its speed is multiplied by 1 + ``speed_share`` u. A draw is the

@@ -35,7 +35,7 @@ class FaultySensors:
         self._exposed = np.round(255.0 * np.clip(gain * levels**_GAMMA, 0.0, 1.0) ** (1.0 / _GAMMA)).astype(np.uint8)
 
     def turn(self, cameras: Mapping[str, CameraSpec]) -> dict[str, CameraSpec]:
-        """Return the cameras as they are mounted; the policy is told of the given ones."""
+        """Return the cameras as they are mounted; the policy gets the given ones as its specification."""
         if self._fault is None or self._fault.turned_deg == 0.0:
             return dict(cameras)
         half = 0.5 * np.radians(self._fault.turned_deg)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mirror.dataset.frames import FrameSequence
+    from mirror.dataset.image import Image
     from mirror.dataset.points import Points
     from mirror.schema.road_map import RoadMap
 
@@ -92,6 +93,24 @@ class Dataset:
 
     def __repr__(self) -> str:
         return f"Dataset({self.root!r}: {self.count('traversals')} traversals, {self.count('images')} images)"
+
+    def _repr_html_(self) -> str:
+        """Return the dataset as HTML for notebooks: a strip of thumbnails and a table of its contents."""
+        from mirror.dataset.notebook import show_dataset
+
+        def middle_images(traversal: str) -> Mapping[str, Image]:
+            frames = self.where(traversal=traversal).frames()
+            return frames[len(frames) // 2].images
+
+        rows = self.table("traversals").to_pylist()
+        facts = {
+            "folder": self.root,
+            "scenes": ", ".join(self.scenes()),
+            "traversals": f"{len(rows):,} of {len(self.drives()):,} drives",
+            "cameras": ", ".join(self.cameras()),
+            **{name: f"{self.count(name):,}" for name in ("frames", "images", "boxes")},
+        }
+        return show_dataset(facts, rows, middle_images)
 
     def __reduce__(self) -> tuple[Callable[..., Dataset], tuple[object, ...]]:
         return (_reopen, (self.root, self.index_sha256, self.filters, self.layers))

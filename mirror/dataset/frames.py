@@ -168,6 +168,19 @@ class Frame:
                 )
         _decode_into(jobs, threads=threads, verify=verify)
 
+    def _repr_html_(self) -> str:
+        """Return the frame as HTML for notebooks: a thumbnail of each image and a table."""
+        from mirror.dataset.notebook import show_frame
+
+        try:
+            boxes = self.boxes()
+            words = f"{len(boxes)}: {', '.join(sorted(set(boxes.category)))}" if len(boxes) else "none"
+        except UsageError as error:
+            # Of several layers none is chosen.
+            words = error.problem
+        place = {"scene": self.scene_id, "traversal": self.traversal_id, "frame": self.frame_index}
+        return show_frame(place, self.timestamp_ns, self.images, words)
+
     @property
     def _name(self) -> str:
         return f"frame {self.frame_index} of {self.traversal_id}"

@@ -19,7 +19,6 @@ from mirror.evaluation.report_tables import (
     breakdown_tables,
     find_headline,
     format_value,
-    group_title,
     list_measures,
     select_ranks,
     summary_table,
@@ -31,6 +30,7 @@ from mirror.evaluation.scorers.scorer import ScoredJob
 from mirror.metrics.catalogue import find_measure
 from mirror.pages.images import inline_image
 from mirror.pages.rendering import render_page
+from mirror.protocols.ranking import group_title
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes
 

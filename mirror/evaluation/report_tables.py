@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 from mirror.evaluation.result import GroupFigure, Level, Result
 from mirror.metrics.catalogue import Measure, find_measure
+from mirror.protocols.ranking import group_title
 
 _EXAMPLES_EACH: Final = 2
 _WIDEST: Final = 8
 """With more metrics a table has a row for each, since a page would not show so many columns."""
-
-_SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
-_GROUPS: Final[Mapping[str, str]] = {
-    "training": "Training traversals",
-    "novel": "Novel traversals",
-    "all": "All",
-    "reported": "Stated",
-    "measured": "Measured here",
-}
 
 LEVELS: Final[Mapping[Level, str]] = {
     "scene": "By scene",
@@ -129,14 +120,6 @@ def find_headline(result: Result) -> GroupFigure | None:
         column = result.protocol.ranking.column
         return next((figure for figure in of_groups if (figure.group, figure.metric) == column), None)
     return next((figure for figure in of_groups if figure.value is not None), None)
-
-
-def group_title(group: str) -> str:
-    """Return the title of a protocol's group in reports and on boards."""
-    shift = _SHIFT.fullmatch(group)
-    if shift is not None:
-        return " ".join(filter(None, (shift[2], "m", shift[1])))
-    return _GROUPS.get(group, group.replace("-", " "))
 
 
 def select_ranks(count: int) -> dict[str, range]:

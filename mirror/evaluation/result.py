@@ -124,6 +124,25 @@ class Result(Document):
     options: dict[str, str] = Field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
+    def _repr_html_(self) -> str:
+        """Return the figures of the groups as an HTML table for notebooks."""
+        from mirror.metrics.catalogue import find_measure
+        from mirror.pages.notebook import show_rows
+        from mirror.protocols.ranking import group_title
+
+        rows = []
+        for one in self.figures:
+            if one.level == "group":
+                measure = find_measure(one.metric)
+                bounds = () if one.low is None or one.high is None else (one.low, one.high)
+                interval = " to ".join(map(measure.format_exactly, bounds))
+                value = one.reason or "none"
+                if one.value is not None:
+                    value = f"{measure.format_exactly(one.value)} {measure.unit}".strip()
+                rows.append((group_title(one.group), measure.title, value, interval, one.n))
+        title = f"{self.submission.method.name}: {self.protocol.name}"
+        return show_rows(title, ("group", "figure", "value", "interval", "n"), rows)
+
     @property
     def hash(self) -> str:
         """SHA-256 of the canonical content; leaderboard entries refer to it."""

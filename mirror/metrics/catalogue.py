@@ -64,6 +64,20 @@ class Measure:
     may_rank: bool = True
     name: str = ""
 
+    def _repr_html_(self) -> str:
+        """Return the metric as HTML for notebooks: its name, sentence, unit, direction and bounds."""
+        from mirror.pages.notebook import show_summary
+
+        facts = [
+            ("name", self.name),
+            ("about", self.about),
+            ("unit", self.unit or "none"),
+            ("better", self.better),
+            ("bounds", f"{self.low:g} to {self.high:g}"),
+            ("weights", ", ".join(self.needs) or "none"),
+        ]
+        return show_summary(self.title, (), facts)
+
     def format(self, value: float) -> str:
         """Format a value for a board."""
         return f"{value * self.scale:.{self.digits}f}"

@@ -23,6 +23,12 @@ class Score(float):
         score.reason = reason
         return score
 
+    def _repr_html_(self) -> str:
+        """Return the score as HTML for notebooks: the number, or why there is none."""
+        from mirror.pages.notebook import show_rows
+
+        return show_rows("Score", ("value",), [(f"{self:.4f}" if self.reason is None else f"none: {self.reason}",)])
+
     def __reduce__(self) -> tuple[Any, ...]:
         return Score, (float(self), self.reason)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from pydantic import Field, model_validator
@@ -11,6 +12,24 @@ from mirror.schema.documents import Document
 
 ALL: Final = "all"
 """The group of figures that are means over several groups of a protocol."""
+
+
+_SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
+_GROUPS: Final[Mapping[str, str]] = {
+    "training": "Training traversals",
+    "novel": "Novel traversals",
+    "all": "All",
+    "reported": "Stated",
+    "measured": "Measured here",
+}
+
+
+def group_title(group: str) -> str:
+    """Return the title of a protocol's group in reports and on boards."""
+    shift = _SHIFT.fullmatch(group)
+    if shift is not None:
+        return " ".join(filter(None, (shift[2], "m", shift[1])))
+    return _GROUPS.get(group, group.replace("-", " "))
 
 
 class Gate(Document):

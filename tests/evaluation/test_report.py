@@ -71,6 +71,16 @@ def test_headline_and_images_come_first(scored: dict[str, Evaluation], tmp_path:
     assert "Training traversals: PSNR" in page
 
 
+def test_a_result_is_a_table_in_a_notebook(scored: dict[str, Evaluation]) -> None:
+    result = scored["mine"].result
+    assert result is not None
+    html = result._repr_html_()
+    of_groups = [figure for figure in result.figures if figure.level == "group"]
+    assert html.count("<tr>") == 1 + len(of_groups)
+    figure = next(one for one in of_groups if one.metric == "psnr" and one.group == "novel")
+    assert f"<td>Novel traversals</td><td>PSNR</td><td>{figure.value:.2f} dB</td>" in html
+
+
 def test_best_median_and_worst_renders_are_compared_with_their_truth(
     scored: dict[str, Evaluation], tmp_path: Path
 ) -> None:

@@ -9,11 +9,11 @@ from typing import Final
 
 from mirror.counting import count_of
 from mirror.errors import DatasetError
-from mirror.evaluation.report_tables import group_title
 from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.images.bootstrap import CONFIDENCE
 from mirror.pages.rendering import content_policy, read_script, render_page
 from mirror.protocols.document import load_protocol
+from mirror.protocols.ranking import group_title
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror_leaderboard.boards import STATED, UNVERIFIED, Board, make_boards

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from mirror.evaluation.report_tables import group_title
 from mirror.metrics.catalogue import MEASURES
+from mirror.protocols.ranking import group_title
 from mirror_leaderboard.boards import Board, Column, find_value, seconds_per_image
 from mirror_leaderboard.entry import Entry, Reported
 

@@ -8,8 +8,8 @@ from itertools import chain, groupby
 from math import ceil
 from typing import Final
 
-from mirror.evaluation.report_tables import group_title
 from mirror.metrics.catalogue import MEASURES, Measure
+from mirror.protocols.ranking import group_title
 from mirror_leaderboard.boards import FLOOR, FLOOR_OF_EDITS, Board, Column, find_figure
 from mirror_leaderboard.entry import Entry, Figure, Measured
 from mirror_leaderboard.ranks import Rank

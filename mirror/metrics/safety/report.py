@@ -117,6 +117,16 @@ class SafetyReport:
     red_lights: tuple[RedLight, ...]
     score: DrivingScore | None
 
+    def _repr_html_(self) -> str:
+        """Return the figures as an HTML table for notebooks."""
+        from mirror.pages.notebook import show_rows
+
+        rows = [
+            (MEASURES[one.name].title, f"{one.value:.4g}", MEASURES[one.name].unit, one.reason or one.cause or "")
+            for one in self.figures.values()
+        ]
+        return show_rows("Safety", ("figure", "value", "unit", "caused by"), rows)
+
 
 @dataclass(frozen=True, eq=False)
 class _OnMap:

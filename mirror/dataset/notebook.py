@@ -8,7 +8,7 @@ from typing import Any, Final
 from mirror.dataset.image import Image
 from mirror.dataset.times import utc
 from mirror.errors import DatasetError
-from mirror.pages.notebook import Shot, show_summary
+from mirror.pages.notebook import Thumbnail, show_summary
 
 _MOST_SHOTS: Final = 6
 _FRONT: Final = "front_wide"
@@ -57,9 +57,9 @@ def show_frame(place: Mapping[str, object], timestamp_ns: int, images: Mapping[s
     return show_summary("Frame", shots, facts)
 
 
-def _take(image: Image, name: str) -> Shot:
+def _take(image: Image, name: str) -> Thumbnail:
     """Decode an image; one that cannot be read, such as a withheld one, is named instead of shown."""
     try:
-        return Shot(name, image.decode())
+        return Thumbnail(name, image.decode())
     except DatasetError as error:
-        return Shot(name, None, error.problem)
+        return Thumbnail(name, None, error.problem)

@@ -15,7 +15,7 @@ _PACKAGE: Final = "mirror.pages"
 
 
 @dataclass(frozen=True)
-class Shot:
+class Thumbnail:
     """An image of a strip.
 
     Attributes:
@@ -29,7 +29,7 @@ class Shot:
     problem: str = ""
 
 
-def show_summary(title: str, shots: Iterable[Shot], facts: Iterable[tuple[str, object]]) -> str:
+def show_summary(title: str, shots: Iterable[Thumbnail], facts: Iterable[tuple[str, object]]) -> str:
     """Format an object as HTML: a strip of thumbnails and a table of its facts; all text is escaped.
 
     Args:

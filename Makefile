@@ -9,11 +9,13 @@ unexport PYTHONDONTWRITEBYTECODE
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
-	# Kernels are compiled while torch is installed, which is large.
+	# Kernels of recordings and datasets are compiled while torch is installed, which is large.
 	$(BIN)/mirror compile --workers 1 & \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0; \
 	code=$$?; wait; exit $$code
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	# Those of reconstruction and simulation need what was installed since. Each worker of the tests would compile them.
+	$(BIN)/mirror compile
 	touch $(STAMP)
 
 # A synthetic street, ingested, split and reported: ends with demo/report.html. DEMO="--quick" for a short one.
@@ -28,7 +30,7 @@ test: $(STAMP)
 pytest: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
-# Five hundred damaged recordings of every reader, for which `make test` has thirty, and what came of them.
+# Five hundred damaged recordings of every reader, for which `make test` has fifteen, and what came of them.
 fuzz: $(STAMP)
 	MIRROR_FUZZ=500 $(BIN)/python -m pytest -n 2 -rP tests/fuzz
 

@@ -6,6 +6,8 @@ import ast
 from collections import defaultdict
 from pathlib import Path
 
+from tests.sources import parse, without_collection
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("mirror", "baselines/hybridworldsim", "baselines/mirror_baselines", "leaderboard/mirror_leaderboard")
 OF_EACH_VERB = {"Arguments"}
@@ -15,11 +17,13 @@ OF_EACH_VERB = {"Arguments"}
 def list_classes() -> dict[str, list[str]]:
     """Files that define a public class, by its name."""
     found = defaultdict(list)
-    for package in PACKAGES:
-        for file in sorted((ROOT / package).rglob("*.py")):
-            for node in ast.parse(file.read_text()).body:
-                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                    found[node.name].append(file.relative_to(ROOT).as_posix())
+    files = [file for package in PACKAGES for file in sorted((ROOT / package).rglob("*.py"))]
+    with without_collection():
+        trees = {file: parse(file) for file in files}
+    for file, tree in trees.items():
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found[node.name].append(file.relative_to(ROOT).as_posix())
     return found
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.sources import parse, without_collection
+
 TESTS = Path(__file__).parent
 PACKAGES = [TESTS.parent / name for name in ("mirror", "baselines/hybridworldsim", "baselines/mirror_baselines",
                                              "leaderboard/mirror_leaderboard")]  # fmt: skip
@@ -35,7 +37,8 @@ def test_no_test_module_or_private_name_is_imported() -> None:
 def imports() -> dict[str, set[str]]:
     """The modules of the packages that each module imports, also where a function does or types alone are meant."""
     files = {name: file for package in PACKAGES for name, file in list_modules(package)}
-    return {name: set(list_imports(ast.parse(file.read_text()), files.keys())) for name, file in files.items()}
+    with without_collection():
+        return {name: set(list_imports(parse(file), files.keys())) for name, file in files.items()}
 
 
 def list_modules(package: Path) -> Iterator[tuple[str, Path]]:

@@ -18,6 +18,7 @@ from mirror import installation
 from mirror.cli.verbs import all_commands
 from mirror.installation import NAME, install_command, upgrade_command
 from tests.command_help import help_of, options_of
+from tests.sources import parse, without_collection
 
 ROOT: Final = Path(__file__).parents[1]
 TOPS: Final = (".", "baselines", "leaderboard")
@@ -107,26 +108,23 @@ class Module:
 
     def __init__(self, file: Path) -> None:
         self.name = file.relative_to(ROOT).as_posix()
-        self.tree = ast.parse(file.read_text())
+        self.tree = parse(file)
+        self.nodes = tuple(ast.walk(self.tree))
         self.constants = _assigned(self.tree.body)
-        self.functions = {node.name: node for node in ast.walk(self.tree) if isinstance(node, ast.FunctionDef)}
+        functions = [node for node in self.nodes if isinstance(node, ast.FunctionDef)]
+        self.functions = {node.name: node for node in functions}
         self.imported = {
             name.asname or name.name: (node.module, name.name)
-            for node in ast.walk(self.tree)
+            for node in self.nodes
             if isinstance(node, ast.ImportFrom) and node.module
             for name in node.names
         }
-        self.owner = {
-            part: function
-            for function in ast.walk(self.tree)
-            if isinstance(function, ast.FunctionDef)
-            for part in ast.walk(function)
-        }
+        self.owner = {part: function for function in functions for part in ast.walk(function)}
         """The innermost function of each node: `ast.walk` yields outer ones first."""
 
     def documentation(self) -> set[ast.AST]:
         """Texts that are no message: they stand alone as statements."""
-        return {node.value for node in ast.walk(self.tree) if isinstance(node, ast.Expr)}
+        return {node.value for node in self.nodes if isinstance(node, ast.Expr)}
 
 
 def _assigned(body: Sequence[ast.AST]) -> dict[str, list[ast.expr]]:
@@ -145,6 +143,12 @@ def _assigned(body: Sequence[ast.AST]) -> dict[str, list[ast.expr]]:
 
 
 @cache
+def _assigned_in(function: ast.FunctionDef) -> dict[str, list[ast.expr]]:
+    """The values that names are given in a function."""
+    return _assigned(list(ast.walk(function)))
+
+
+@cache
 def module_at(file: Path) -> Module:
     return Module(file)
 
@@ -154,7 +158,8 @@ def modules() -> tuple[Module, ...]:
     files = [
         file for folder in ("mirror", "baselines", "leaderboard") for file in sorted((ROOT / folder).rglob("*.py"))
     ]
-    return tuple(module_at(file) for file in files)
+    with without_collection():
+        return tuple(module_at(file) for file in files)
 
 
 def _find(module: Module, name: str) -> tuple[Module, str]:
@@ -181,7 +186,7 @@ def remedies() -> tuple[tuple[str, str, str], ...]:
 def _remedies() -> tuple[tuple[Module, str, tuple[str, ...]], ...]:
     found = []
     for module in modules():
-        for node in ast.walk(module.tree):
+        for node in module.nodes:
             value: ast.expr | None = None
             if (isinstance(node, ast.keyword) and node.arg == "remedy") or (
                 isinstance(node, ast.Assign) and getattr(node.targets[0], "attr", None) == "remedy"
@@ -237,7 +242,7 @@ def _texts(node: ast.expr | None, module: Module, depth: int = 0) -> Iterator[st
         yield from _texts(node.value, module, depth + 1)
     elif isinstance(node, ast.Name):
         function = module.owner.get(node)
-        local = _assigned(list(ast.walk(function))) if function is not None else {}
+        local = _assigned_in(function) if function is not None else {}
         home, name = _find(module, node.id)
         for one in local.get(node.id) or home.constants.get(name, []):
             yield from _texts(one, module if node.id in local else home, depth + 1)
@@ -269,8 +274,8 @@ def messages() -> tuple[tuple[str, str, str], ...]:
 def _messages() -> Iterator[tuple[str, str, str]]:
     for module in modules():
         left_out = module.documentation()
-        inner = {part for node in ast.walk(module.tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-        for node in ast.walk(module.tree):
+        inner = {part for node in module.nodes if isinstance(node, ast.JoinedStr) for part in node.values}
+        for node in module.nodes:
             if isinstance(node, ast.Constant | ast.JoinedStr) and node not in left_out and node not in inner:
                 text = "".join(
                     str(part.value) if isinstance(part, ast.Constant) else FILLED
@@ -354,7 +359,7 @@ def test_places_that_are_options_are_those_of_a_verb_that_can_raise_the_error() 
     wrong, count = [], 0
     for module in modules():
         verbs = next((verbs for folder, verbs in RAISED_BY.items() if module.name.startswith(folder)), None)
-        for node in ast.walk(module.tree):
+        for node in module.nodes:
             if not (isinstance(node, ast.keyword) and node.arg == "place"):
                 continue
             for text in _texts(node.value, module):

@@ -74,7 +74,7 @@ def test_examples_import_public_names_only(name: str) -> None:
             assert {alias.name for alias in node.names} <= {*import_module(str(node.module)).__all__}
 
 
-def test_a_method_and_a_metric_in_a_file_each(tiny_dataset: Dataset, tmp_path: Path) -> None:
+def test_a_method_and_a_metric_in_a_file_each(tiny_dataset: Dataset, tmp_path: Path, here: Callable[..., str]) -> None:
     dataset, method = tiny_dataset.root, ("--method", "method.py:METHOD")
     said = mirror(tmp_path, "reconstruct", dataset, "--split", "novel", *method, "--out", "model")
     assert "safetensors" not in said
@@ -85,9 +85,9 @@ def test_a_method_and_a_metric_in_a_file_each(tiny_dataset: Dataset, tmp_path: P
         "method.py:METHOD", (tmp_path / "model" / "colours.npz").stat().st_size,
     )  # fmt: skip
     # A document decides on no file that is run.
-    refused = mirror(tmp_path, "render", dataset, "model", "--split", "novel", "--out", "no", code=2)
+    refused = here("render", dataset, "model", "--split", "novel", "--out", "no", code=2)
     assert "--method FOLDER/method.py:METHOD" in refused
-    mirror(tmp_path, "render", dataset, "model", "--split", "novel", *method, "--out", "submission")
+    here("render", dataset, "model", "--split", "novel", *method, "--out", "submission")
     done = run(tmp_path, "metric.py", dataset, "submission")
     assert done.returncode == 0, done.stderr
     assert all(float(line.split(": ")[1]) > 0.0 for line in done.stdout.splitlines())
@@ -161,9 +161,9 @@ def test_the_document_of_a_model_decides_on_no_file_that_is_run(
         assert said in capsys.readouterr().err
 
 
-def test_a_policy_in_a_file_stays_on_the_road(tmp_path: Path) -> None:
+def test_a_policy_in_a_file_stays_on_the_road(here: Callable[..., str]) -> None:
     drive = ("simulate", "synth:tiny", "--scenario", "free-traffic", "--duration", "4", "--no-video", "--width", "64")
-    said = json.loads(mirror(tmp_path, *drive, "--policy", "policy.py:Careful", "--out", "rollout", "--json"))
+    said = json.loads(here(*drive, "--policy", "policy.py:Careful", "--out", "rollout", "--json"))
     assert said["ending"] == "duration"
     assert said["safety"]["drivable_margin"] > 0.0
 
@@ -178,12 +178,12 @@ def test_a_fault_of_a_policy_is_named_with_its_file_and_line(tmp_path: Path, her
     assert f"line {line}, in act" in said and "policy.py" in said and "AttributeError" in said
 
 
-def test_a_reader_in_a_file(tmp_path: Path) -> None:
+def test_a_reader_in_a_file(tmp_path: Path, here: Callable[..., str]) -> None:
     rows = ({"t": 1.7e9 + second, "lon": 11.5763 + 1e-4 * second, "lat": 48.1371} for second in range(30))
     (tmp_path / "drive.walk").write_text("".join(json.dumps(row) + "\n" for row in rows))
     words = ("--reader", "reader.py:WalkReader", "--roi", "11.5778,48.1371")
     mirror(tmp_path, "ingest", "drive.walk", *words, "--out", "dataset")
-    assert "guangzhou" not in mirror(tmp_path, "info", "dataset")
+    assert "guangzhou" not in here("info", "dataset")
 
 
 def test_an_annotator_in_a_file(tiny_dataset: Dataset, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -49,6 +50,7 @@ class Declaration:
     hash: str
 
 
+@cache
 def load_declaration() -> Declaration:
     """Load the committed declaration; its hash is of its values, not of their formatting."""
     document = tomllib.loads(FILE.read_text())

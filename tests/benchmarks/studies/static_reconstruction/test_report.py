@@ -22,12 +22,14 @@ STUDY = Arguments(published=True)
 REPORT = STUDY.out / "README.md"
 
 
+PUBLISHED = {Job(**outcome["job"]) for outcome in read_records(STUDY.outcomes).outcomes}
+
+
 def has_run(group: Name) -> bool:
     """Return whether an outcome of this group, and not of `comparison`, is published."""
     known = groups(load_declaration())
     shared = set(known["comparison"].jobs) if group != "comparison" else set()
-    published = {Job(**outcome["job"]) for outcome in read_records(STUDY.outcomes).outcomes}
-    return bool(published & (set(known[group].jobs) - shared))
+    return bool(PUBLISHED & (set(known[group].jobs) - shared))
 
 
 GROUPS = [name for name in groups(load_declaration()) if name != "tuning" and has_run(name)]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
+from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer, ExposingRenderer
 from mirror.methods.interactive import InteractiveMethod
 from mirror.methods.method_devices import DeviceMethod
 from mirror.methods.ply_export import PlyExporter
@@ -21,6 +21,8 @@ class Capabilities:
         renders_depth: its renderers have `render` (`mirror.methods.depth_renderers.DepthRenderer`), which simulators
             need.
         renders_covers: its renderers have `render_covers` (`mirror.methods.depth_renderers.CoverRenderer`).
+        separates_exposure: its renderers have `render_unexposed` and `expose`
+            (`mirror.methods.depth_renderers.ExposingRenderer`): simulators draw road users before the exposure.
         opens_interactively: it has `open_interactive` (`mirror.methods.interactive.InteractiveMethod`): a renderer that
             mixes appearances and reuses work while the camera moves.
         exports_ply: it has `export_ply` (`mirror.methods.ply_export.PlyExporter`).
@@ -32,6 +34,7 @@ class Capabilities:
 
     renders_depth: bool = False
     renders_covers: bool = False
+    separates_exposure: bool = False
     opens_interactively: bool = False
     exports_ply: bool = False
     takes_device: bool = False
@@ -52,7 +55,11 @@ NEEDED_OF_METHOD: Final[Mapping[str, type]] = {
 NEEDED_IF_STATED: Final[Mapping[str, type]] = {"takes_device": DeviceMethod}
 """The same for capabilities that functions do not show: every method has a function `open`."""
 
-NEEDED_OF_RENDERER: Final[Mapping[str, type]] = {"renders_depth": DepthRenderer, "renders_covers": CoverRenderer}
+NEEDED_OF_RENDERER: Final[Mapping[str, type]] = {
+    "renders_depth": DepthRenderer,
+    "renders_covers": CoverRenderer,
+    "separates_exposure": ExposingRenderer,
+}
 """What the renderers of a method need for a capability, by the capability's name."""
 
 

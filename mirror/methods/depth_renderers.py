@@ -1,4 +1,4 @@
-"""What a method's renderers have if its `Capabilities` state it: depth, and what covers each pixel before a depth."""
+"""What a method's renderers have if its `Capabilities` state it: depth, covers before a depth, exposure."""
 
 from __future__ import annotations
 
@@ -47,5 +47,31 @@ class CoverRenderer(Protocol):
 
         Returns:
             What `DepthRenderer.render` returns; and the shares (H, W), 0 to 1, of the same type.
+        """
+        ...
+
+
+class ExposingRenderer(Protocol):
+    """A renderer that separates the street from the exposure of the camera, so that road users get it too."""
+
+    def render_unexposed(self, view: RenderView, limit_m: Float32 | None) -> tuple[DepthRendering, Any]:
+        """Render a view at the mean exposure of its appearance.
+
+        Args:
+            view: the view.
+            limit_m: see `CoverRenderer.render_covers`; None: nothing is computed for it.
+
+        Returns:
+            What `CoverRenderer.render_covers` returns; None in place of the shares where `limit_m` is None.
+        """
+        ...
+
+    def expose(self, view: RenderView, colours: Any, noise_seed: int | None = None) -> Any:
+        """Return the image (H, W, 3), 0 to 1, that the camera of a view takes of unexposed colours.
+
+        Args:
+            view: the view.
+            colours: (H, W, 3) float tensor of torch: the unexposed street, into which road users may have been drawn.
+            noise_seed: seed of the camera's noise; None: without noise.
         """
         ...

@@ -12,7 +12,7 @@ from mirror.devices import CPU, Device, choose_device
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.capabilities import Capabilities, find_capabilities, require_renderer_capabilities
-from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer, DepthRendering
+from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer, DepthRendering, ExposingRenderer
 from mirror.methods.hosting import checked_renderer
 from mirror.methods.interactive import (
     InteractiveDeviceMethod,
@@ -71,6 +71,24 @@ class ModelRenderer:
         """
         self._require("renders_covers")
         return cast(CoverRenderer, self._renderer).render_covers(view, limit_m)
+
+    def render_unexposed(self, view: RenderView, limit_m: Float32 | None) -> tuple[DepthRendering, Any]:
+        """Render a view at the mean exposure of its appearance; see `ExposingRenderer.render_unexposed`.
+
+        Raises:
+            UsageError: the method lacks the capability `separates_exposure`.
+        """
+        self._require("separates_exposure")
+        return cast(ExposingRenderer, self._renderer).render_unexposed(view, limit_m)
+
+    def expose(self, view: RenderView, colours: Any, noise_seed: int | None = None) -> Any:
+        """Return the image that a view's camera takes of unexposed colours; see `ExposingRenderer.expose`.
+
+        Raises:
+            UsageError: the method lacks the capability `separates_exposure`.
+        """
+        self._require("separates_exposure")
+        return cast(ExposingRenderer, self._renderer).expose(view, colours, noise_seed)
 
     def _require(self, capability: str) -> None:
         if capability not in self.capabilities.names:

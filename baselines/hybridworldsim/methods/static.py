@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import torch
 from hybridworldsim.methods.estimates import TableSizes, describe_costs, estimate_task_bytes
 from hybridworldsim.methods.gpu_settings import describe_changes, size_factor
 from hybridworldsim.methods.overrides import override_settings, settings_document
+from hybridworldsim.methods.recorded_cameras import read_recorded_cameras
 from hybridworldsim.methods.renderers import BlockRenderer, one_point, open_block, render_nearest, training_sources
 from hybridworldsim.methods.scene_preparation import BlockTraining, PreparedScene, prepare_scene, source_pairs
 from hybridworldsim.model.blocks import SIZE_M, Block
@@ -61,6 +62,7 @@ class StaticMethod:
             starts; None: none is printed.
         scale: multiplies the numbers of Gaussians of settings, which are those for a CPU, for the larger images of a
             GPU; None: they are the same on every device.
+        reads_light: whether the method reads the light and the mountings of the cameras.
     """
 
     name: str
@@ -72,6 +74,7 @@ class StaticMethod:
     capabilities: Capabilities | None = None
     sizes: Callable[[Any], TableSizes] | None = None
     scale: Callable[[Any, float], Any] | None = None
+    reads_light: bool = False
 
     def reconstruct(
         self, dataset: Dataset, task: ReconstructionTask, out: Path, reporter: ProgressReporter
@@ -147,6 +150,10 @@ class StaticMethod:
                 outcomes[block.name] = None
                 continue
             initial = block_geometry(scene.geometry, block, source_pairs(views))
+            if self.reads_light:
+                initial = replace(
+                    initial, cameras=read_recorded_cameras(scene.layers.dataset, scene.training.plan, views)
+                )
             points = len(initial.points_m)
             reporter.message(f"{block.name}, {place + 1} of {len(scene.blocks)}: {len(views)} images, {points} points")
             training = BlockTraining(block, views, initial, scene.layers, scene.training, scene.held_out)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,15 +17,17 @@ from hybridworldsim.methods.interactive import InteractiveStreet
 from hybridworldsim.methods.static import StaticMethod, block_folders
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.composition import Composition
+from hybridworldsim.model.composition import Composition, LampSelector
 from hybridworldsim.model.initialization import InitialGeometry, initial_street
+from hybridworldsim.model.lamps import Lamps
 from hybridworldsim.model.ply_export import export_gaussians, psnr_to_model_db, write_ply
-from hybridworldsim.model.settings import Settings
+from hybridworldsim.model.settings import LightSettings, Settings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import StreetModel
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.trainable.method import Rendering, TrainableMethod
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from hybridworldsim.training.appearance import FITTED, AppearanceSelector, Blend
 from hybridworldsim.training.documents import Run, read_run
 from hybridworldsim.training.driven_lines import DrivenLines
@@ -96,7 +98,7 @@ class StreetMethod(StaticMethod):
         """See `StaticMethod.write`."""
         if not isinstance(trainer, StreetTrainer):
             raise UsageError(f"a {type(trainer).__name__}", expected="a StreetTrainer")
-        trainer.catch_up()
+        trainer.finish()
         return save_block(path, block, trainer.street, half=half, about={"settings_hash": run.settings_hash})
 
 
@@ -147,8 +149,8 @@ class StreetRenderer:
 
     def render(self, view: RenderView) -> Rendering:
         """Render a view with its depth."""
-        output, counts = self._composition.render(view, self.latents(view))
-        return Rendering(output.rgb, output.alpha, output.depth_m, counts)
+        rendering, _ = self.render_unexposed(view, None)
+        return replace(rendering, rgb=self.expose(view, rendering.rgb))
 
     def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
         """Render a view, and return the share (H, W) of each pixel that the street nearer than a depth covers.
@@ -157,7 +159,34 @@ class StreetRenderer:
             view: the view.
             limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
         """
-        output, counts = self._composition.render(view, self.latents(view))
+        rendering, before = self._render_unexposed(view, limit_m)
+        return replace(rendering, rgb=self.expose(view, rendering.rgb)), before
+
+    def render_unexposed(self, view: RenderView, limit_m: Float32 | None) -> tuple[Rendering, Tensor | None]:
+        """Render a view at the mean exposure of its appearance.
+
+        See `mirror.methods.depth_renderers.ExposingRenderer`.
+        """
+        if limit_m is not None:
+            return self._render_unexposed(view, limit_m)
+        output, counts = self._composition.render(view, self.latents(view), self._lamps(view))
+        return Rendering(output.rgb, output.alpha, output.depth_m, counts), None
+
+    def expose(self, view: RenderView, colours: Tensor, noise_seed: int | None = None) -> Tensor:
+        """Return the image (H, W, 3) that a view's camera takes of unexposed colours; see `ExposingRenderer`."""
+        street = self.blocks[self._composition.home(view)][1]
+        if street.light is None:
+            return colours
+        source = self._source(street, view)
+        image = street.light.respond(colours, source)
+        noise = None if noise_seed is None else street.light.noise_at(source, view.width_px)
+        if noise is None or noise_seed is None:
+            return image
+        noisy = noise.add(image.cpu().numpy(), noise_seed)
+        return torch.from_numpy(noisy).to(image.device, torch.float32) / 255.0
+
+    def _render_unexposed(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
+        output, counts = self._composition.render(view, self.latents(view), self._lamps(view))
         # A view that sees no node has no Gaussians.
         before = covered_before(output.meta, limit_m) if output.parts else torch.zeros_like(output.alpha)
         return Rendering(output.rgb, output.alpha, output.depth_m, counts), before
@@ -168,6 +197,24 @@ class StreetRenderer:
         def select(appearance: AppearanceLatents) -> tuple[Tensor, Tensor]:
             choice = self._selectors[id(appearance)].select(view)
             return blend_latents(appearance, choice.colours), appearance(choice.content)
+
+        return select
+
+    def _source(self, street: StreetModel, view: RenderView) -> Source:
+        """The trained source whose light a view has."""
+        choice = self._selectors[id(street.appearance)].select(view)
+        return max(choice.colours, key=lambda pair: pair[1])[0]
+
+    def _lamps(self, view: RenderView) -> LampSelector:
+        """A function that selects the headlights of a block: as strong as the share of appearances that have some."""
+
+        def select(street: StreetModel, viewpoint: Viewpoint) -> Lamps | None:
+            if street.light is None:
+                return None
+            colours = self._selectors[id(street.appearance)].select(view).colours
+            lamps = [(street.lamps(viewpoint, source), weight) for source, weight in colours]
+            lit = [(one, weight) for one, weight in lamps if one is not None]
+            return replace(lit[0][0], share=sum(weight for _, weight in lit)) if lit else None
 
         return select
 
@@ -208,6 +255,17 @@ STRUCTURE: Final = StreetMethod(
     scale=scale_street,
 )
 """The paper's losses and a structure loss."""
+
+
+LIGHT: Final = StreetMethod(
+    f"{NAME}_light",
+    make,
+    lambda seed: LightSettings(seed=seed),
+    capabilities=replace(ALL, separates_exposure=True),
+    sizes=table_sizes,
+    reads_light=True,
+)
+"""The paper's losses, with the exposure of each image, the cameras' response, and the vehicle's headlights."""
 
 
 def open_model(folder: Path, appearance: AppearancePolicy = AppearancePolicy()) -> StreetRenderer:  # noqa: B008 - immutable

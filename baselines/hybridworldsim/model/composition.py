@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.lamps import Lamps, lit_anchors, lit_code_gaussians
 from hybridworldsim.model.parts import MIN_WEIGHT, LatentSelector, Part, fade, split_street
 from hybridworldsim.model.splats import DecodedSplats
 from hybridworldsim.model.street import StreetModel, StreetOutput, render
@@ -18,6 +20,9 @@ from hybridworldsim.trainable.viewpoint import Viewpoint, to_viewpoint
 from mirror.arrays import Float64
 from mirror.devices import CPU
 from mirror.protocols.views.view import RenderView
+
+LampSelector: TypeAlias = Callable[[StreetModel, Viewpoint], Lamps | None]
+"""Selects the headlights that light a block for a camera."""
 
 
 class Composition:
@@ -43,12 +48,19 @@ class Composition:
         self._split = split_street(blocks)
         self._parts = [_RenderablePart(part.to(device)) for part in self._split.parts]
 
-    def render(self, view: RenderView, select_latents: LatentSelector) -> tuple[StreetOutput, Mapping[str, int]]:
+    def home(self, view: RenderView) -> int:
+        """Return the number of the block in which a view's camera is."""
+        return int(self._split.sky_weights(view.pose.translation[0]).argmax())
+
+    def render(
+        self, view: RenderView, select_latents: LatentSelector, select_lamps: LampSelector | None = None
+    ) -> tuple[StreetOutput, Mapping[str, int]]:
         """Render a view.
 
         Args:
             view: a pinhole view in the world.
             select_latents: selects the latents that a block is rendered with.
+            select_lamps: selects the headlights; None: there are none.
 
         Returns:
             The image; and counts of blocks, of nodes, and of Gaussians that are held, decoded and drawn.
@@ -56,7 +68,7 @@ class Composition:
         Raises:
             UsageError: the view's lens is not a pinhole.
         """
-        decoded = self.decode(view, select_latents)
+        decoded = self.decode(view, select_latents, select_lamps)
         counts = {
             "blocks": len(self._parts),
             "nodes": 3 * len(self._parts),
@@ -68,7 +80,9 @@ class Composition:
         return self.draw(view, decoded), counts
 
     @torch.inference_mode()
-    def decode(self, view: RenderView, select_latents: LatentSelector) -> Decoded:
+    def decode(
+        self, view: RenderView, select_latents: LatentSelector, select_lamps: LampSelector | None = None
+    ) -> Decoded:
         """Decode the Gaussians that a view may see; see `render`."""
         sky_weights = self._split.sky_weights(view.pose.translation[0])
         home = self._parts[int(sky_weights.argmax())].part.block
@@ -76,7 +90,8 @@ class Composition:
         for renderable, sky in zip(self._parts, sky_weights.tolist()):
             shift = np.array(renderable.part.block.origin_m) - np.array(home.origin_m)
             viewpoint = to_viewpoint(view, np.array(renderable.part.block.origin_m))
-            shown += [_translate(splats, shift) for splats in renderable.decode(viewpoint, sky, select_latents)]
+            lamps = None if select_lamps is None else select_lamps(renderable.part.street, viewpoint)
+            shown += [_translate(splats, shift) for splats in renderable.decode(viewpoint, sky, select_latents, lamps)]
         return Decoded(np.array(home.origin_m), tuple(shown))
 
     @torch.inference_mode()
@@ -114,7 +129,9 @@ class _RenderablePart:
         self._bounds = torch.stack([_bounding_sphere(*points) for points in zip(means, self._reach_m)])
         self._is_unweighted = bool((part.background == 1.0).all()), bool((part.ground == 1.0).all())
 
-    def decode(self, viewpoint: Viewpoint, sky: float, select_latents: LatentSelector) -> list[DecodedSplats]:
+    def decode(
+        self, viewpoint: Viewpoint, sky: float, select_latents: LatentSelector, lamps: Lamps | None
+    ) -> list[DecodedSplats]:
         """Decode the nodes that a viewpoint may see; a node outside the view is not decoded."""
         nodes = select_visible(viewpoint, self._bounds[:, :3], self._bounds[:, 3]).tolist()
         background, ground, sky_visible = (node in nodes for node in range(3))
@@ -126,12 +143,18 @@ class _RenderablePart:
         latent, content = select_latents(street.appearance)
         if background:
             anchors = street.background.visible_ids(viewpoint, background_reach_m)
-            splats = street.background.decode(viewpoint, latent, content, street.background.rows(anchors))
+            anchor_rows = street.background.rows(anchors)
+            splats = street.background.decode(viewpoint, latent, content, anchor_rows)
+            if lamps is not None:
+                splats = lit_anchors(street.background, anchor_rows, splats, viewpoint, lamps)
             weights = None if self._is_unweighted[0] else self.part.background[splats.rows // street.background.k]
             shown.append(splats if weights is None else fade(splats, weights))
         if ground:
             ids = street.ground.visible_ids(viewpoint, ground_reach_m)
-            splats = street.ground.decode(viewpoint, latent, street.ground.rows(ids))
+            rows = street.ground.rows(ids)
+            splats = street.ground.decode(viewpoint, latent, rows)
+            if lamps is not None:
+                splats = lit_code_gaussians(street.ground, rows, splats, viewpoint, lamps)
             shown.append(splats if self._is_unweighted[1] else fade(splats, self.part.ground[splats.rows]))
         if sky_visible:
             ids = street.sky.visible_ids(viewpoint, sky_reach_m)

@@ -9,11 +9,12 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from hybridworldsim.light.recorded_light import RecordedCamera, RecordedLight
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.densification.cells import best_per_cell, cell_keys
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
-from hybridworldsim.model.settings import Settings
+from hybridworldsim.model.settings import LightSettings, Settings
 from hybridworldsim.model.street import StreetModel
 from hybridworldsim.trainable.viewpoint import Source
 from mirror.arrays import Float64, UInt8
@@ -39,6 +40,7 @@ class InitialGeometry:
         sources: traversals and cameras of the training images.
         points_rgb: (P, 3) colours of the background points, or None where they are unknown. Explicit Gaussians begin
             with these colours; a street ignores them, because it decodes colours from codes.
+        cameras: light and mountings of the sources, for a method that reads them.
     """
 
     points_m: Float64
@@ -48,6 +50,7 @@ class InitialGeometry:
     radius_m: float
     sources: Sequence[Source]
     points_rgb: UInt8 | None = None
+    cameras: Sequence[RecordedCamera] = ()
 
 
 def initial_street(initial: InitialGeometry, settings: Settings) -> StreetModel:
@@ -69,7 +72,10 @@ def initial_street(initial: InitialGeometry, settings: Settings) -> StreetModel:
         sky_start = sky_seeds(initial, settings.sky_count, settings.sky_radius, settings.far_count)
         ground = CodeGaussians(ground_start, settings.plain_code, settings.latent, settings.hidden)
         sky = CodeGaussians(sky_start, settings.plain_code, settings.latent, settings.hidden)
-        return StreetModel(background, ground, sky, AppearanceLatents(initial.sources, settings.latent))
+        light = None
+        if isinstance(settings, LightSettings):
+            light = RecordedLight(initial.cameras, headlights=settings.headlights, seed=settings.seed)
+        return StreetModel(background, ground, sky, AppearanceLatents(initial.sources, settings.latent), light)
 
 
 def thin_points(points: Float64, size_m: float, max_count: int) -> Float64:

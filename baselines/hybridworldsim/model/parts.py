@@ -120,6 +120,7 @@ def split_street(blocks: Sequence[tuple[Block, StreetModel]]) -> Parts:
             subset(street.ground, weighted_rows[1]),
             subset(street.sky, kept.nonzero().squeeze(1)),
             street.appearance,
+            street.light,
         )
         stored_count = len(street.background) * street.background.k + len(street.ground) + len(street.sky)
         parts.append(Part(block, smaller, weights[0][weighted_rows[0]], weights[1][weighted_rows[1]], stored_count))

@@ -142,6 +142,17 @@ class Settings:
         require_above(self, "", ("first_spacing_m", "ground_spacing_m"))
 
 
+@dataclass(frozen=True)
+class LightSettings(Settings):
+    """The model with the light of its recordings.
+
+    Attributes:
+        headlights: vehicles that were recorded by dusk and at night light the street before them.
+    """
+
+    headlights: bool = True
+
+
 def require(settings: object, under: str, names: Sequence[str], least: float) -> None:
     """Raise an error unless all named settings are at least a number.
 

@@ -12,6 +12,7 @@ import torch
 from pydantic import BaseModel, Json
 from torch import Tensor
 
+from hybridworldsim.light.recorded_light import LightDocument, light_from
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.nodes.anchors import Anchors
@@ -40,6 +41,7 @@ class BlockEntry(BaseModel):
     radius_m: float
     sources: Json[list[Source]]
     about: Json[dict[str, Any]]
+    light: Json[LightDocument] | None = None
 
 
 def save_block(
@@ -72,6 +74,8 @@ def save_block(
         "sources": json.dumps([tuple(source) for source in street.appearance.sources]),
         "about": json.dumps(dict(about or {}), sort_keys=True),
     }
+    if street.light is not None:
+        metadata["light"] = street.light.document().model_dump_json()
     # One entry, because safetensors writes several entries in any order, and equal models must have equal bytes.
     data = save(tables, {_ENTRY: json.dumps(metadata, sort_keys=True)})
     write_bytes(path, data)
@@ -100,7 +104,7 @@ def load_block(path: Path) -> tuple[Block, StreetModel, dict[str, Any]]:
             tables = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except (OSError, SafetensorError) as error:
         raise DatasetError(f"cannot be read: {error}", file=path, expected=f"a block, {FORMAT}") from error
-    street = _empty_street(tables, entry.radius_m, entry.sources)
+    street = _empty_street(tables, entry.radius_m, entry.sources, entry.light)
     load(street, {f"model.{name}": table for name, table in tables.items()})
     return entry.block, street, entry.about
 
@@ -117,7 +121,9 @@ def _to_stored(name: str, parameter: Tensor, half: bool, path: Path) -> Tensor:
     return table
 
 
-def _empty_street(tables: Mapping[str, Tensor], radius_m: float, sources: list[Source]) -> StreetModel:
+def _empty_street(
+    tables: Mapping[str, Tensor], radius_m: float, sources: list[Source], light: LightDocument | None
+) -> StreetModel:
     """A street of the stored sizes whose tables have no rows."""
     latent = tables["appearance.drives"].shape[1]
     no_rows = torch.empty(0, 3)
@@ -140,4 +146,5 @@ def _empty_street(tables: Mapping[str, Tensor], radius_m: float, sources: list[S
             )
             for name in ("ground", "sky")
         )
-        return StreetModel(background, ground, sky, AppearanceLatents(sources, latent))
+        recorded = None if light is None else light_from(light)
+        return StreetModel(background, ground, sky, AppearanceLatents(sources, latent), recorded)

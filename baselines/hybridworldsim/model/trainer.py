@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from hybridworldsim.light.light_training import LightTraining
 from hybridworldsim.model.dense_adam import DenseAdam, TableAdam
 from hybridworldsim.model.densification.anchors import AnchorRefiner
 from hybridworldsim.model.densification.code_gaussians import CodeRefiner
@@ -27,6 +29,8 @@ from mirror.devices import CPU
 
 _SENSOR_RATE_SHARE = 0.1
 """Learning rate of a sensor's latent, as a share of the learning rate of its traversal's latent."""
+_RESPONSE_RATE_SHARE = 0.2
+"""Learning rate of the cameras' response, as a share of that of the networks."""
 
 
 class StreetTrainer:
@@ -54,6 +58,7 @@ class StreetTrainer:
         self._ground = CodeRefiner(street.ground, ground, refinement, refinement.most_ground)
         self._sky = CodeRefiner(street.sky, sky, refinement, refinement.most_sky)
         self._visibility = VisibilityCache()
+        self._light = None if street.light is None else LightTraining(street.light)
         self._steps, self._refined, self._last, self._progress = 0, 0, 0, 0.0
 
     def to(self, device: str) -> StreetTrainer:
@@ -75,6 +80,8 @@ class StreetTrainer:
         latent = street.appearance(viewpoint.source)
         growing = self._refined < settings.refinement.times
         output = street(viewpoint, latent, rows=self.visible_rows(viewpoint), track_gradients=growing)
+        if self._light is not None:
+            output = replace(output, rgb=self._light.respond(output.rgb, image, progress))
         losses = self._losses(output, image)
         weights = {
             "rgb": 1.0,
@@ -119,6 +126,12 @@ class StreetTrainer:
             "drawn": sum(len(part) for part in output.parts),
         }
         return Rendering(output.rgb, output.alpha, output.depth_m, counts)
+
+    def finish(self) -> None:
+        """Bring all rows up to date, and store what the training knows of the light: the model is to be written."""
+        self.catch_up()
+        if self._light is not None:
+            self._light.finish()
 
     def catch_up(self) -> None:
         """Bring all rows up to date; rows that no recent step used have missed updates."""
@@ -206,8 +219,9 @@ class StreetTrainer:
         self._steps, self._refined, self._last = state["counters"].tolist()
         self._progress = float(state["progress"])
 
-    def _parts(self) -> dict[str, AnchorRefiner | CodeRefiner | TableAdam | VisibilityCache]:
+    def _parts(self) -> dict[str, AnchorRefiner | CodeRefiner | TableAdam | VisibilityCache | LightTraining]:
         return {
+            **({} if self._light is None else {"light": self._light}),
             "anchors": self._anchors,
             "ground": self._ground,
             "sky": self._sky,
@@ -235,4 +249,15 @@ def _shared_parameters(street: StreetModel) -> list[dict[str, Any]]:
         },
         {"params": [street.appearance.drives], "rate": "latents", "factor": 1.0},
         {"params": [street.appearance.sensors], "rate": "latents", "factor": _SENSOR_RATE_SHARE},
+        *_light_parameters(street),
     ]
+
+
+def _light_parameters(street: StreetModel) -> list[dict[str, Any]]:
+    if street.light is None:
+        return []
+    response = list(street.light.response.parameters())
+    groups = [{"params": response, "rate": "networks", "factor": _RESPONSE_RATE_SHARE}]
+    if street.light.headlights is not None:
+        groups.append({"params": list(street.light.headlights.parameters()), "rate": "networks", "factor": 1.0})
+    return groups

@@ -123,6 +123,12 @@ class Anchors(nn.Module):
             anchor_ids=rows.ids,
         )
 
+    def daylit(self, rows: AnchorRows, viewpoint: Viewpoint, latent: Tensor) -> Tensor:
+        """Return the colours (M, k * 3) of all Gaussians of anchors in an appearance."""
+        network = self.colour, latent
+        (colours,) = run_networks(rows.codes, rows.means, viewpoint.centre, self.radius_m, network)
+        return colours.sigmoid()
+
     def read(self, rows: AnchorRows, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
         """Return the networks' outputs for anchors, (M, k * 8) and (M, k * 3); see `anchors_to_gaussians`."""
         networks = (self.geometry, content), (self.colour, latent)

@@ -132,6 +132,7 @@ class ReconstructedRenderer(Renderer):
         start: the state at the start.
         cameras: the cameras, by name; pinholes.
         appearance: the trained traversal whose appearance the images have; None: it is chosen.
+        seed: seed of the images' noise, of a model that knows the noise of its cameras.
     """
 
     name = "reconstructed"
@@ -144,10 +145,11 @@ class ReconstructedRenderer(Renderer):
         start: Snapshot,
         cameras: Mapping[str, CameraSpec],
         appearance: str | None = None,
+        seed: int = 0,
     ) -> None:
         super().__init__(street, cameras)
         self.seconds = Seconds()
-        self._model = model
+        self._model, self._seed = model, seed
         self._appearance = appearance or choose_appearance(model, street, scenario)
         condition = _condition(street, self._appearance, scenario)
         self.layer = AgentLayer(street, condition, start.agents)
@@ -166,7 +168,8 @@ class ReconstructedRenderer(Renderer):
             clock = time.thread_time()
             agents = self.layer.draw(instant, view.camera, view.world_SE3_camera)
             clock = self.seconds.add("agents", clock)
-            rgb, depth, covered = self._background(view, snapshot, None if agents is None else hiding_depth(agents))
+            seen = self._render_view(view, snapshot)
+            rgb, depth, covered = self._background(seen, None if agents is None else hiding_depth(agents))
             clock = self.seconds.add("street", clock)
             rotation = matrix_from_quaternion(view.world_SE3_camera.rotation)[0]
             origin, lens = view.world_SE3_camera.translation[0], view.camera
@@ -176,7 +179,8 @@ class ReconstructedRenderer(Renderer):
             if agents is not None:
                 rgb, shown = compose(rgb, depth, covered, agents, numbers, rotation, origin, self._free)
             self._shown[view.name] = np.where(shown, -1 if agents is None else agents.number, -1).astype(np.int32)
-            images[view.name] = rgb
+            noise = np.random.SeedSequence([self._seed, number, snapshot.step]).generate_state(1, np.uint64)[0]
+            images[view.name] = self._expose(seen, rgb, int(noise))
             self.seconds.add("composition", clock)
 
         in_parallel(work, len(views))
@@ -187,7 +191,8 @@ class ReconstructedRenderer(Renderer):
         images: dict[str, UInt8] = {}
 
         def work(number: int) -> None:
-            images[views[number].name] = self._background(views[number], snapshot, None)[0]
+            seen = self._render_view(views[number], snapshot)
+            images[seen.camera] = self._expose(seen, self._background(seen, None)[0], None)
 
         in_parallel(work, len(views))
         return images
@@ -196,13 +201,10 @@ class ReconstructedRenderer(Renderer):
         """Return, for the last images, the number (H, W) of the agent that each pixel shows; -1: none."""
         return self._shown
 
-    def _background(
-        self, place: CameraView, snapshot: Snapshot, limit_m: Float32 | None
-    ) -> tuple[UInt8, Float32, Float32]:
-        """The empty street: its image, its depth, and the share of each pixel that it covers before a depth (H, W)."""
+    def _render_view(self, place: CameraView, snapshot: Snapshot) -> RenderView:
         camera = place.camera
         recording = self._street.recordings.get(self._appearance)
-        view = RenderView(
+        return RenderView(
             path=f"{place.name}/{snapshot.step}", group="simulation", scene_id=self._street.scene_id,
             traversal_id=self._appearance, frame_index=snapshot.step, camera=place.name, timestamp_ns=snapshot.stamp_ns,
             light=recording.light if recording else "day", weather=recording.weather if recording else "clear",
@@ -210,15 +212,27 @@ class ReconstructedRenderer(Renderer):
             fy_px=camera.fy_px, cx_px=camera.cx_px, cy_px=camera.cy_px, distortion=(),
             world_SE3_camera=place.world_SE3_camera,
         )  # fmt: skip
+
+    def _expose(self, view: RenderView, rgb: UInt8, noise_seed: int | None) -> UInt8:
+        """The image that the camera takes of the unexposed street with its agents."""
+        if not self._model.renderer.capabilities.separates_exposure:
+            return rgb
+        image = self._model.renderer.expose(view, torch.from_numpy(rgb).float() / 255.0, noise_seed)
+        return _to_levels(torch.as_tensor(image))
+
+    def _background(self, view: RenderView, limit_m: Float32 | None) -> tuple[UInt8, Float32, Float32]:
+        """The empty street: its image, its depth, and the share of each pixel that it covers before a depth (H, W)."""
         renderer, covers = self._model.renderer, None
-        if limit_m is not None and renderer.capabilities.renders_covers:
+        if renderer.capabilities.separates_exposure:
+            rendering, covers = renderer.render_unexposed(view, limit_m)
+        elif limit_m is not None and renderer.capabilities.renders_covers:
             rendering, covers = renderer.render_covers(view, limit_m)
         else:
             rendering = renderer.render(view)
         colours, alpha, depth_m = (
             torch.as_tensor(part).detach() for part in (rendering.rgb, rendering.alpha, rendering.depth_m)
         )
-        rgb = colours.clamp(0.0, 1.0).mul(255.0).add(0.5).byte().cpu().numpy()
+        rgb = _to_levels(colours)
         # Where the model shows hardly anything, nothing hides an agent.
         depth = np.where(alpha.cpu().numpy() > 0.5, depth_m.cpu().numpy(), 0.0).astype(np.float32)
         covered: Float32 = np.zeros(depth.shape, np.float32)
@@ -227,7 +241,11 @@ class ReconstructedRenderer(Renderer):
         elif limit_m is not None:
             # Only the mean depth is known.
             covered = ((depth > 0.0) & (depth < limit_m)).astype(np.float32)
-        return np.ascontiguousarray(rgb), np.ascontiguousarray(depth), covered
+        return rgb, np.ascontiguousarray(depth), covered
+
+
+def _to_levels(colours: torch.Tensor) -> UInt8:
+    return np.ascontiguousarray(colours.clamp(0.0, 1.0).mul(255.0).add(0.5).byte().cpu().numpy())
 
 
 def choose_appearance(model: OpenModel, street: Street, scenario: Scenario) -> str:

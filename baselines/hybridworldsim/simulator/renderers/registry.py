@@ -112,7 +112,7 @@ class RendererFactory:
             return ExactRenderer(street, scenario, simulation.now, cameras, simulation.seed)
         if self._generator is not None:
             return self._make_generated(self._generator, simulation, cameras)
-        return self.make_at(simulation.street, simulation.scenario, simulation.now, cameras)
+        return self.make_at(simulation.street, simulation.scenario, simulation.now, cameras, seed=simulation.seed)
 
     def make_at(
         self,
@@ -121,8 +121,18 @@ class RendererFactory:
         start: Snapshot,
         cameras: Mapping[str, CameraSpec],
         appearance: str | None = None,
+        *,
+        seed: int = 0,
     ) -> Renderer:
         """Make a renderer of views from anywhere, without the body of the ego vehicle.
+
+        Args:
+            street: the street.
+            scenario: its light and weather choose the appearance.
+            start: the state at the start.
+            cameras: the cameras, by name.
+            appearance: see `ReconstructedRenderer`.
+            seed: seed of the noise of a model's cameras.
 
         Raises:
             UsageError: the renderer does not fit the street.
@@ -141,7 +151,7 @@ class RendererFactory:
                 "views from anywhere of the renderer 'generated'", place="renderer",
                 expected="a renderer that shows each instant by itself, such as 'reconstructed'",
             )  # fmt: skip
-        return self._reconstructed(street, scenario, start, cameras, appearance)
+        return self._reconstructed(street, scenario, start, cameras, appearance, seed)
 
     def _make_generated(
         self, choice: DriveGenerator, simulation: Simulation, cameras: Mapping[str, CameraSpec]
@@ -149,7 +159,7 @@ class RendererFactory:
         from hybridworldsim.simulator.renderers.generated import GeneratedRenderer
 
         street, scenario = simulation.street, simulation.scenario
-        base = self._reconstructed(street, scenario, simulation.now, cameras, None)
+        base = self._reconstructed(street, scenario, simulation.now, cameras, None, simulation.seed)
         sizes = tuple((one.camera.height_px, one.camera.width_px) for one in cameras.values())
         if sizes not in self._opened:
             self._opened[sizes] = choice.open(cameras, self._device)
@@ -164,6 +174,7 @@ class RendererFactory:
         start: Snapshot,
         cameras: Mapping[str, CameraSpec],
         appearance: str | None,
+        seed: int,
     ) -> ReconstructedRenderer:
         from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
 
@@ -171,7 +182,7 @@ class RendererFactory:
             self._model = OpenModel.read(
                 self._model_path or Path(), street, self._method, option=self._option, device=self._device
             )
-        return ReconstructedRenderer(self._model, street, scenario, start, cameras, appearance)
+        return ReconstructedRenderer(self._model, street, scenario, start, cameras, appearance, seed)
 
 
 def choose_renderer_device(requested: str | None, model: Path | None, method: str | None = None) -> Device | None:

@@ -1,0 +1,69 @@
+"""The response of cameras: what lies between the light of a street and an image of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from hybridworldsim.light.tone_curve import ToneCurve
+from mirror.errors import UsageError
+
+
+class CameraResponse(nn.Module):
+    """White balance, vignetting and tone curve of each camera.
+
+    A street's colours are the image at gain one without vignetting: ``colour = f(light)``. An image at another gain is
+    ``f(gain * white * vignetting * light)``. The three gains of the white balance have the product one, vignetting is
+    one in the middle, and f(0.18) = 0.18: the mean of the light belongs to the street alone.
+
+    Args:
+        cameras: names of the cameras.
+    """
+
+    def __init__(self, cameras: Sequence[str]) -> None:
+        super().__init__()
+        self.cameras = tuple(cameras)
+        self._rows = {camera: row for row, camera in enumerate(self.cameras)}
+        self.curve = ToneCurve(len(self.cameras))
+        self.white = nn.Parameter(torch.zeros(len(self.cameras), 3))
+        self.falloff = nn.Parameter(torch.full((len(self.cameras),), 0.02))
+
+    def row(self, camera: str) -> int:
+        """Return the number of a camera.
+
+        Raises:
+            UsageError: the camera was not trained on.
+        """
+        if camera not in self._rows:
+            raise UsageError(
+                f"no response of camera {camera}", expected=f"one of {', '.join(self.cameras)}",
+                remedy="name the camera as in the recordings that the model was trained on",
+            )  # fmt: skip
+        return self._rows[camera]
+
+    def forward(self, colours: Tensor, camera: str, log_gain: Tensor | float) -> Tensor:
+        """Return the image (H, W, 3) that a camera takes of a street.
+
+        Args:
+            colours: (H, W, 3) rendered colours of the street, 0 or more.
+            camera: name of the camera.
+            log_gain: natural logarithm of the gain, relative to the mean of the camera's images in the appearance.
+        """
+        return self.curve(self.exposed(colours, camera, log_gain), self.row(camera))
+
+    def exposed(self, colours: Tensor, camera: str, log_gain: Tensor | float = 0.0) -> Tensor:
+        """Return the light (H, W, 3) that reaches the sensor, times the gain; see `forward`."""
+        row = self.row(camera)
+        light = self.curve.invert(colours, row)
+        white = self.white[row] - self.white[row].mean()
+        factor = torch.exp(white + log_gain) if isinstance(log_gain, float) else torch.exp(white + log_gain.to(white))
+        return light * factor * self.vignetting(row, colours.shape[0], colours.shape[1])[..., None]
+
+    def vignetting(self, row: int, height: int, width: int) -> Tensor:
+        """Return the share (H, W) of the light that reaches each pixel; one in the middle."""
+        y = torch.arange(height, device=self.falloff.device) + 0.5 - 0.5 * height
+        x = torch.arange(width, device=self.falloff.device) + 0.5 - 0.5 * width
+        square = (x.square()[None] + y.square()[:, None]) / (0.25 * (height * height + width * width))
+        return (1.0 + self.falloff[row].clamp_min(0.0) * square).reciprocal().square()

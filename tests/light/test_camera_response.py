@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hybridworldsim.kernels.dispatch import plain_torch
 from hybridworldsim.light.camera_response import CameraResponse
 from hybridworldsim.light.tone_curve import DARKEST, PIVOT, ToneCurve
 from mirror.errors import UsageError
@@ -68,3 +70,31 @@ def test_a_camera_that_was_not_trained_is_named() -> None:
     with pytest.raises(UsageError, match="no response of camera left") as refused:
         CameraResponse(["front"]).row("left")
     assert refused.value.remedy
+
+
+def test_the_compiled_response_is_the_plain_one_with_its_gradients() -> None:
+    random = torch.Generator().manual_seed(3)
+    response = CameraResponse(["front", "rear"])
+    with torch.no_grad():
+        response.curve.slopes += 0.7 * torch.randn(response.curve.slopes.shape, generator=random)
+        response.white += 0.1 * torch.randn(2, 3, generator=random)
+        response.falloff += 0.2
+    colours = (torch.rand(23, 37, 3, generator=random) ** 3).requires_grad_()
+    weights = torch.rand(23, 37, 3, generator=random)
+    found = []
+    for plain in (False, True):
+        with plain_torch() if plain else nullcontext():
+            image = response(colours, "rear", 0.4)
+            gradients = torch.autograd.grad((weights * image).sum(), [colours, *response.parameters()])
+            found.append((image.detach(), *gradients))
+    for compiled, plain_form in zip(*found):
+        scale = float(plain_form.abs().max())
+        torch.testing.assert_close(compiled, plain_form, rtol=2e-4, atol=2e-5 * scale)
+
+
+def test_black_and_bright_pixels_have_finite_gradients() -> None:
+    response = CameraResponse(["front"])
+    colours = torch.tensor([0.0, -0.1, 1e-9, 1.0, 4.0, 1e6]).repeat(3, 1)[..., None].repeat(1, 1, 3).requires_grad_()
+    image = response(colours, "front", -3.0)
+    image.sum().backward()
+    assert image.isfinite().all() and colours.grad is not None and colours.grad.isfinite().all()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
+from hybridworldsim.kernels.dispatch import is_compiled
+from hybridworldsim.light.exposing import corner_squares, expose
 from hybridworldsim.light.tone_curve import ToneCurve
 from mirror.errors import UsageError
 
@@ -43,7 +46,7 @@ class CameraResponse(nn.Module):
             )  # fmt: skip
         return self._rows[camera]
 
-    def forward(self, colours: Tensor, camera: str, log_gain: Tensor | float) -> Tensor:
+    def forward(self, colours: Tensor, camera: str, log_gain: float) -> Tensor:
         """Return the image (H, W, 3) that a camera takes of a street.
 
         Args:
@@ -51,19 +54,20 @@ class CameraResponse(nn.Module):
             camera: name of the camera.
             log_gain: natural logarithm of the gain, relative to the mean of the camera's images in the appearance.
         """
-        return self.curve(self.exposed(colours, camera, log_gain), self.row(camera))
+        if not is_compiled(colours) or colours.dtype != torch.float32:
+            return self.curve(self.exposed(colours, camera, log_gain), self.row(camera))
+        row = self.row(camera)
+        factors = (self.white[row] - self.white[row].mean() + log_gain) / math.log(2.0)
+        return expose(colours, factors, self.falloff[row].clamp_min(0.0), *self.curve.knots(row))
 
-    def exposed(self, colours: Tensor, camera: str, log_gain: Tensor | float = 0.0) -> Tensor:
+    def exposed(self, colours: Tensor, camera: str, log_gain: float = 0.0) -> Tensor:
         """Return the light (H, W, 3) that reaches the sensor, times the gain; see `forward`."""
         row = self.row(camera)
-        light = self.curve.invert(colours, row)
-        white = self.white[row] - self.white[row].mean()
-        factor = torch.exp(white + log_gain) if isinstance(log_gain, float) else torch.exp(white + log_gain.to(white))
-        return light * factor * self.vignetting(row, colours.shape[0], colours.shape[1])[..., None]
+        factor = torch.exp(self.white[row] - self.white[row].mean() + log_gain)
+        vignetting = self.vignetting(row, colours.shape[0], colours.shape[1])
+        return self.curve.invert(colours, row) * factor * vignetting[..., None]
 
     def vignetting(self, row: int, height: int, width: int) -> Tensor:
         """Return the share (H, W) of the light that reaches each pixel; one in the middle."""
-        y = torch.arange(height, device=self.falloff.device) + 0.5 - 0.5 * height
-        x = torch.arange(width, device=self.falloff.device) + 0.5 - 0.5 * width
-        square = (x.square()[None] + y.square()[:, None]) / (0.25 * (height * height + width * width))
+        square = corner_squares(height, width).to(self.falloff.device)
         return (1.0 + self.falloff[row].clamp_min(0.0) * square).reciprocal().square()

@@ -15,7 +15,9 @@ from mirror.arrays import Float64
 FEATURES: Final = 5
 """Numbers that describe the light of an image; see `light_features`."""
 
-_EVERY_PX: Final = 4
+EVERY_PX: Final = 4
+"""Every fourth pixel of every fourth row shows how much light there is."""
+
 _DARKEST: Final = 1e-4
 _LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
 _RIDGE: Final = 1e-3
@@ -27,13 +29,16 @@ _BEYOND: Final = 0.2
 
 
 def light_features(light: Tensor) -> Float64:
-    """Describe the light (H, W, 3) of an image at gain one, as exposure meters see it.
+    """Describe the light of an image at gain one, as exposure meters see it.
+
+    Args:
+        light: (H, W, 3) light of every `EVERY_PX`-th pixel, or of all.
 
     Returns:
         (5,) logarithms of the geometric mean, of the mean in the middle ninth, and of the 5, 75 and 95 % quantiles of
         the luminance.
     """
-    seen = light.detach()[::_EVERY_PX, ::_EVERY_PX] @ light.new_tensor(_LUMINANCE)
+    seen = light.detach() @ light.new_tensor(_LUMINANCE)
     logs = seen.double().clamp_min(_DARKEST).log()
     rows, columns = logs.shape
     middle = logs[rows // 3 : rows - rows // 3, columns // 3 : columns - columns // 3]

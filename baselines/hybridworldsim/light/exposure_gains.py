@@ -22,7 +22,7 @@ def estimate_log_gain(image: Tensor, rendered: Tensor, light: Tensor, exposed: T
     """Return the logarithm of the gain by which an image differs from its rendering at gain one.
 
     Args:
-        image: (H, W, 3) recorded colours.
+        image: (H, W, 3) recorded colours; all arrays may hold some of the pixels only.
         rendered: (H, W, 3) rendered colours at gain one.
         light: (H, W, 3) light of the recorded colours, by the inverse of the camera's curve.
         exposed: (H, W, 3) light of the rendering at the sensor, at gain one.

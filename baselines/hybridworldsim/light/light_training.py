@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybridworldsim.light.exposure_controller import FEATURES, fit_controllers, light_features
+from hybridworldsim.light.exposure_controller import EVERY_PX, FEATURES, fit_controllers, light_features
 from hybridworldsim.light.exposure_gains import ExposureGains, estimate_log_gain
 from hybridworldsim.light.recorded_light import RecordedLight, group_of
 from hybridworldsim.light.sensor_noise import NoiseSamples, SensorNoise
@@ -48,10 +48,10 @@ class LightTraining:
             return colours
         response = self.light.response
         with torch.no_grad():
-            rendered = colours.detach()
+            rendered, rgb, scored = (one.detach()[::EVERY_PX, ::EVERY_PX] for one in (colours, image.rgb, image.scored))
             exposed = response.exposed(rendered, source.camera)
-            light = response.curve.invert(image.rgb, response.row(source.camera))
-            estimate = estimate_log_gain(image.rgb, rendered, light, exposed, image.scored)
+            light = response.curve.invert(rgb, response.row(source.camera))
+            estimate = estimate_log_gain(rgb, rendered, light, exposed, scored)
             self._seen[image.name] = group, light_features(exposed)
         if estimate is not None:
             self._gains.update(image.name, group, estimate)

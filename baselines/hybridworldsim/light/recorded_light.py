@@ -12,7 +12,12 @@ from pydantic import BaseModel
 from torch import Tensor, nn
 
 from hybridworldsim.light.camera_response import CameraResponse
-from hybridworldsim.light.exposure_controller import ExposureController, controller_from, light_features
+from hybridworldsim.light.exposure_controller import (
+    EVERY_PX,
+    ExposureController,
+    controller_from,
+    light_features,
+)
 from hybridworldsim.light.headlights import HeadlightField
 from hybridworldsim.light.sensor_noise import SensorNoise
 from hybridworldsim.trainable.viewpoint import Source, Viewpoint
@@ -109,7 +114,9 @@ class RecordedLight(nn.Module):
         controller = self.controllers.get(group_of(source))
         if controller is None:
             return 0.0
-        return controller.log_gain(light_features(self.response.exposed(colours, source.camera)))
+        return controller.log_gain(
+            light_features(self.response.exposed(colours[::EVERY_PX, ::EVERY_PX], source.camera))
+        )
 
     @torch.no_grad()
     def respond(self, colours: Tensor, source: Source) -> Tensor:

@@ -43,16 +43,16 @@ class ToneCurve(nn.Module):
 
     def forward(self, light: Tensor, curve: int) -> Tensor:
         """Return the image values of light, of any shape; both are 0 or more."""
-        stops, levels, slopes = self._knots(curve)
+        stops, levels, slopes = self.knots(curve)
         return _interpolate(light.clamp_min(DARKEST).log2(), stops, levels, slopes).exp2()
 
     def invert(self, values: Tensor, curve: int) -> Tensor:
         """Return the light of image values, of any shape; both are 0 or more."""
-        stops, levels, slopes = self._knots(curve)
+        stops, levels, slopes = self.knots(curve)
         return _interpolate(values.clamp_min(DARKEST).log2(), levels, stops, 1.0 / slopes).exp2()
 
-    def _knots(self, curve: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Logarithms of light (K + 1,) and of image values (K + 1,) at the knots, and the slopes (K,) between."""
+    def knots(self, curve: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the logarithms of light and of image values (K + 1,) at the knots, and the slopes (K,) between."""
         slopes = functional.softplus(self.slopes[curve]) + _LEAST_SLOPE
         stops = torch.arange(_FIRST_STOP, _LAST_STOP + 1, dtype=slopes.dtype, device=slopes.device)
         levels = torch.cat([slopes.new_zeros(1), slopes.cumsum(0)])

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -63,6 +63,9 @@ class Arguments:
     appearance: str = "nearest"
     """nearest, mean, fit, a traversal, a word for light or weather such as night, or sweep:A:B.
     For a trajectory also by camera: rear=night,front_wide=sweep:day:night. A submission keeps that of trained views."""
+    headlights: Literal["on", "off"] = "on"
+    """off: without the vehicle's headlights in appearances by dusk and night, for a model that knows them. For a
+    trajectory."""
     method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
     """The file of a method that is not installed: that of the training."""
     width: Annotated[int | None, help_text(default="that of the protocol", metavar="PIXELS")] = None
@@ -129,6 +132,8 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
                 "it is for trajectories", place=f"--{option}",
                 expected=f"no such option beside --split: protocol {arguments.protocol} defines a submission",
             )  # fmt: skip
+    if arguments.headlights == "off":
+        raise UsageError("off", place="--headlights", expected="on: a submission shows the street as it was recorded")
     for sign, subject in (("sweep:", "a sweep is"), ("=", "appearances by camera are")):
         if sign in arguments.appearance:
             raise UsageError(
@@ -157,6 +162,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.submission.models import hash_models
     from mirror.methods.appearance import AppearancePolicy, require_known_appearance
     from mirror.methods.camera_policies import open_by_camera, parse_camera_policies
+    from mirror.methods.capabilities import find_capabilities
     from mirror.methods.model import read_models
     from mirror.methods.model_document import require_matching_split
     from mirror.progress import progress_bar
@@ -192,7 +198,12 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     appearances = parse_camera_policies(arguments.appearance, rendered_cameras)
     for words in dict.fromkeys(appearances.values()):
         require_known_appearance(words, dataset, document.trained)
-    policy = AppearancePolicy(views=views, everywhere=True)
+    if arguments.headlights == "off" and not find_capabilities(model.method).has_headlights:
+        raise UsageError(
+            f"method {name} does not know the vehicle's headlights", place="--headlights", expected="on",
+            remedy="train a model with --method hybridworldsim_light",
+        )  # fmt: skip
+    policy = AppearancePolicy(views=views, everywhere=True, headlights=arguments.headlights == "on")
     render = open_by_camera(model, policy, appearances, device=device)
     begin = time.perf_counter()
     with progress_bar(quiet=arguments.json) as bar:
@@ -204,6 +215,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
             rendered = len(views)
         else:
             inputs = (hash_models(models.values()), *(view.model_dump_json() for view in views), arguments.appearance)
+            inputs += ("headlights off",) if arguments.headlights == "off" else ()
             start_render_folder(arguments.out, inputs)
             rendered = _write_images(arguments.out, views, render, bar.advance)
     speed = rendered / (time.perf_counter() - begin)

@@ -23,12 +23,15 @@ class AppearancePolicy:
         policy: ``nearest``, ``mean``, ``fit``, a traversal, a word of light or weather, or ``sweep:A:B``.
         views: all views that will be rendered, so that a policy can compare complete driven lines.
         everywhere: whether the policy also applies to trained traversals, which edits their light.
+        headlights: whether the vehicle's headlights are on in appearances that were recorded with them; False needs a
+            method with the capability `has_headlights`.
         truth: only for ``fit``: the dataset and plan that give the images; only the protocol's fitted part is read.
     """
 
     policy: str = "nearest"
     views: Sequence[RenderView] = ()
     everywhere: bool = False
+    headlights: bool = True
     truth: tuple[Dataset, Plan] | None = None
 
 

@@ -23,6 +23,7 @@ class Capabilities:
         renders_covers: its renderers have `render_covers` (`mirror.methods.depth_renderers.CoverRenderer`).
         separates_exposure: its renderers have `render_unexposed` and `expose`
             (`mirror.methods.depth_renderers.ExposingRenderer`): simulators draw road users before the exposure.
+        has_headlights: it knows the vehicle's own light, which `AppearancePolicy.headlights` turns off.
         opens_interactively: it has `open_interactive` (`mirror.methods.interactive.InteractiveMethod`): a renderer that
             mixes appearances and reuses work while the camera moves.
         exports_ply: it has `export_ply` (`mirror.methods.ply_export.PlyExporter`).
@@ -35,6 +36,7 @@ class Capabilities:
     renders_depth: bool = False
     renders_covers: bool = False
     separates_exposure: bool = False
+    has_headlights: bool = False
     opens_interactively: bool = False
     exports_ply: bool = False
     takes_device: bool = False

@@ -240,7 +240,10 @@ def test_rivals_go_through_the_same_verbs(
         assert not (tmp_path / "mixed").exists()
 
 
-@pytest.mark.parametrize(("method", "more"), [("hybridworldsim", False), ("hybridworldsim_structure", True)])
+@pytest.mark.parametrize(
+    ("method", "more"),
+    [("hybridworldsim", False), ("hybridworldsim_structure", True), ("hybridworldsim_light", False)],
+)
 def test_the_papers_method_has_the_papers_losses_and_the_other_one_more(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], method: str, more: bool
 ) -> None:

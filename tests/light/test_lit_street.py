@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,17 @@ from hybridworldsim.light.recorded_light import RecordedCamera, RecordedLight, g
 from hybridworldsim.light.sensor_noise import SensorNoise
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
+from hybridworldsim.model.initialization import initial_street
+from hybridworldsim.model.settings import LightSettings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import StreetModel
+from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.trainable.viewpoint import Source, to_viewpoint
+from tests.interruption import interrupt_at_call
 from tests.model import streets
+from tests.training import short_run
+from tests.training import street as training_street
 
 DAY, NIGHT = Source("s.a.0", "front_wide"), Source("s.b.1", "front_wide")
 BLOCK = Block((0, 0), (0.0, 0.0, 0.0))
@@ -138,3 +145,24 @@ def test_before_a_tenth_of_the_training_all_gains_are_one() -> None:
     training = LightTraining(light)
     assert torch.equal(training.respond(colours, image, 0.05), colours)
     assert training.log_gain("0", group_of(DAY)) == 0.0
+
+
+def test_an_interrupted_training_ends_as_one_that_was_not(tmp_path: Path) -> None:
+    def trainer() -> StreetTrainer:
+        camera = np.eye(4)
+        camera[:3, :3] = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
+        cameras = [
+            RecordedCamera(Source(name, "front_wide"), name.split(".")[1], camera)
+            for name in training_street.TRAVERSALS
+        ]
+        settings = LightSettings(**vars(training_street.SETTINGS))
+        return StreetTrainer(initial_street(replace(training_street.initial(), cameras=cameras), settings), settings)
+
+    interrupted = training_street.Painted(interrupt_at_call(lambda image: image, 17))
+    at_once = short_run.run(tmp_path / "once", 40, trainer=trainer())
+    with pytest.raises(KeyboardInterrupt):
+        short_run.run(tmp_path / "twice", 40, trainer=trainer(), images=interrupted)
+    resumed = short_run.run(tmp_path / "twice", 40, trainer=trainer())
+    assert resumed.psnr_db == at_once.psnr_db
+    models = [(tmp_path / name / "model.safetensors").read_bytes() for name in ("once", "twice")]
+    assert models[0] == models[1]

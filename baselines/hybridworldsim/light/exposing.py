@@ -43,14 +43,16 @@ def write_levels(
     end: Any, levels_out: Any,
 ) -> None:  # fmt: skip
     """Write the logarithms of image values of rows from those of colours; see `expose`."""
-    last = len(slopes) - 1
+    last, knot = len(slopes) - 1, 0
     for row in range(begin, end):
         for column in range(levels_in.shape[1]):
             for channel in range(3):
                 level = levels_in[row, column, channel]
-                knot = 0
+                # The knot of the last pixel is near.
                 while knot < last and level > levels[knot + 1]:
                     knot += 1
+                while knot > 0 and level <= levels[knot]:
+                    knot -= 1
                 light = first_stop + knot + (level - levels[knot]) / slopes[knot]
                 light = max(light + factors[channel] + shade[row, column], darkest) - first_stop
                 other = min(max(math.ceil(light) - 1, 0), last)
@@ -66,16 +68,18 @@ def write_gradients(
 
     The sums belong to three factors, K + 1 levels of knots, and K slopes.
     """
-    last, first_level = len(slopes) - 1, 3
+    last, first_level, knot = len(slopes) - 1, 3, 0
     first_slope = first_level + len(levels)
     for row in range(len(levels_in)):
         for column in range(levels_in.shape[1]):
             grad_shade[row, column] = 0.0
             for channel in range(3):
                 level, grad = levels_in[row, column, channel], gradients[row, column, channel]
-                knot = 0
+                # The knot of the last pixel is near.
                 while knot < last and level > levels[knot + 1]:
                     knot += 1
+                while knot > 0 and level <= levels[knot]:
+                    knot -= 1
                 share = (level - levels[knot]) / slopes[knot]
                 light = first_stop + knot + share + factors[channel] + shade[row, column]
                 is_dark = light < darkest

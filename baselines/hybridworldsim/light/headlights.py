@@ -24,8 +24,8 @@ class HeadlightField(nn.Module):
     """The light (three colours, 0 or more) that headlights throw on a place, relative to daylight on it.
 
     A small network reads the direction (azimuth and elevation from the lamps), the logarithm of the distance, and
-    whether the place lies on the ground, which light grazes. Its output falls with the square of the distance. Three
-    hundred numbers describe all vehicles of one type; the field moves with the vehicle.
+    whether the place lies on the ground, which light grazes. Its output falls with the square of the distance. A
+    hundred and fifty numbers describe all vehicles of one type; the field moves with the vehicle.
 
     Args:
         seed: seed of the first numbers.

@@ -18,7 +18,7 @@ from mirror.arrays import Float64
 
 BEGIN: Final = 0.1
 """Progress before which all gains are one, because the street does not yet look like its images."""
-_NOISE_IMAGES: Final = 64
+_NOISE_IMAGES: Final = 8
 """Number of images of a group in which noise is measured."""
 
 

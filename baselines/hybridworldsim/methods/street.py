@@ -140,6 +140,7 @@ class StreetRenderer:
             )
             for block, cameras in zip(blocks, trained)
         }
+        self._headlights = appearance.headlights
         self.blocks = [(block.block, block.street) for block in blocks]
         self._composition = Composition(self.blocks, device)
 
@@ -209,7 +210,7 @@ class StreetRenderer:
         """A function that selects the headlights of a block: as strong as the share of appearances that have some."""
 
         def select(street: StreetModel, viewpoint: Viewpoint) -> Lamps | None:
-            if street.light is None:
+            if street.light is None or not self._headlights:
                 return None
             colours = self._selectors[id(street.appearance)].select(view).colours
             lamps = [(street.lamps(viewpoint, source), weight) for source, weight in colours]
@@ -261,7 +262,7 @@ LIGHT: Final = StreetMethod(
     f"{NAME}_light",
     make,
     lambda seed: LightSettings(seed=seed),
-    capabilities=replace(ALL, separates_exposure=True),
+    capabilities=replace(ALL, separates_exposure=True, has_headlights=True),
     sizes=table_sizes,
     reads_light=True,
 )

@@ -257,6 +257,22 @@ def test_the_papers_method_has_the_papers_losses_and_the_other_one_more(
     assert said(capsys, *words, "--out", tmp_path / "submission")["method"] == method
 
 
+def test_headlights_go_off_where_a_model_has_some(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain, lit = tmp_path / "plain", tmp_path / "lit"
+    said(capsys, *reconstruct(dataset, plain, "--steps", 3))
+    said(capsys, *reconstruct(dataset, lit, "--method", "hybridworldsim_light", "--steps", 12))
+    words = ("--trajectory", "forward:1", "--cameras", "front_wide", "--width", 48, "--hz", 2, "--headlights", "off")
+    printed = said(capsys, "render", dataset.root, lit, *words, "--out", tmp_path / "off")
+    assert printed["pictures"] == len(list((tmp_path / "off").rglob("*.png"))) > 1
+    refused = said(capsys, "render", dataset.root, plain, *words, "--out", tmp_path / "no", code=ExitCode.COULD_NOT_RUN)
+    assert refused["place"] == "--headlights" and "hybridworldsim_light" in refused["remedy"]
+    split = ("--split", "novel", "--protocol", narrow(tmp_path), "--headlights", "off", "--out", tmp_path / "no")
+    refused = said(capsys, "render", dataset.root, lit, *split, code=ExitCode.COULD_NOT_RUN)
+    assert refused["place"] == "--headlights" and not (tmp_path / "no").exists()
+
+
 def test_where_no_bar_moves_each_report_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     for quiet, expected in ((False, "50 %\n"), (True, "")):
         with progress_bar(quiet=quiet) as watch:

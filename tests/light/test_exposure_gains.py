@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.light.camera_response import CameraResponse
 from hybridworldsim.light.exposure_gains import ExposureGains, estimate_log_gain
 from hybridworldsim.light.recorded_light import require_gains
+from hybridworldsim.light.trained_response import TrainedResponse
 from mirror.errors import UsageError
 
 
 @pytest.mark.parametrize("gain", [0.25, 0.7, 1.0, 1.9, 4.0])
 def test_the_gain_of_an_image_is_found_despite_noise_saturation_and_other_things(gain: float) -> None:
     random = torch.Generator().manual_seed(4)
-    response = CameraResponse(["front"])
+    response = TrainedResponse(["front"])
     colours = torch.rand(60, 100, 3, generator=random) ** 1.5
     with torch.no_grad():
         image = response(colours, "front", float(np.log(gain))).clamp(0.0, 1.0)

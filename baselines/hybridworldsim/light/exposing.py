@@ -28,7 +28,7 @@ def expose(
     Args:
         colours: (H, W, 3) float32 rendered colours.
         log2_factors: (3,) logarithms of gain and white balance of each channel.
-        falloff: () vignetting, see `hybridworldsim.light.camera_response.CameraResponse.vignetting`.
+        falloff: () vignetting, see `hybridworldsim.light.trained_response.TrainedResponse.vignetting`.
         stops: (K + 1,) logarithms of light at the knots of the curve; evenly spaced by one.
         levels: (K + 1,) logarithms of image values at the knots.
         slopes: (K,) slopes between the knots.

@@ -11,7 +11,6 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor, nn
 
-from hybridworldsim.light.camera_response import CameraResponse
 from hybridworldsim.light.exposure_controller import (
     EVERY_PX,
     ExposureController,
@@ -20,6 +19,7 @@ from hybridworldsim.light.exposure_controller import (
 )
 from hybridworldsim.light.headlights import HeadlightField
 from hybridworldsim.light.sensor_noise import SensorNoise
+from hybridworldsim.light.trained_response import TrainedResponse
 from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror.arrays import Float64
 from mirror.errors import UsageError
@@ -82,7 +82,7 @@ class RecordedLight(nn.Module):
     def __init__(self, cameras: Sequence[RecordedCamera], *, headlights: bool, seed: int = 0) -> None:
         super().__init__()
         self.recorded = {camera.source: camera for camera in cameras}
-        self.response = CameraResponse(sorted({camera.source.camera for camera in cameras}))
+        self.response = TrainedResponse(sorted({camera.source.camera for camera in cameras}))
         lights = {camera.light for camera in cameras}
         has_both = DAY in lights and not lights.isdisjoint(DARK)
         self.headlights = HeadlightField(seed) if headlights and has_both else None

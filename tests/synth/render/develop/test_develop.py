@@ -255,7 +255,7 @@ def test_arrays_of_wrong_shape_or_type_are_refused(radiance: np.ndarray) -> None
 
 @settings(max_examples=30)
 @given(st.integers(0, 2**63 - 1))
-def test_camera_responses_differ_within_small_limits(seed: int) -> None:
+def test_trained_responses_differ_within_small_limits(seed: int) -> None:
     response = draw_camera_response(seed)
     assert response == draw_camera_response(seed)
     assert abs(response.exposure_ev) < 1.0

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hybridworldsim.kernels.dispatch import plain_torch
-from hybridworldsim.light.camera_response import CameraResponse
 from hybridworldsim.light.tone_curve import DARKEST, PIVOT, ToneCurve
+from hybridworldsim.light.trained_response import TrainedResponse
 from mirror.errors import UsageError
 
 
@@ -42,7 +42,7 @@ def test_gradients_of_curve_and_inverse_agree_with_differences() -> None:
 
 
 def test_an_image_at_gain_one_of_an_untrained_camera_differs_by_vignetting_only() -> None:
-    response = CameraResponse(["front"])
+    response = TrainedResponse(["front"])
     colours = torch.rand(31, 47, 3) * 0.9 + 0.05
     with torch.no_grad():
         response.falloff.fill_(0.0)
@@ -50,7 +50,7 @@ def test_an_image_at_gain_one_of_an_untrained_camera_differs_by_vignetting_only(
 
 
 def test_the_response_is_its_closed_form() -> None:
-    response = CameraResponse(["front", "rear"]).double()
+    response = TrainedResponse(["front", "rear"]).double()
     with torch.no_grad():
         response.falloff[1] = 0.3
         response.white[1] = torch.tensor([0.3, 0.0, 0.0])
@@ -68,13 +68,13 @@ def test_the_response_is_its_closed_form() -> None:
 
 def test_a_camera_that_was_not_trained_is_named() -> None:
     with pytest.raises(UsageError, match="no response of camera left") as refused:
-        CameraResponse(["front"]).row("left")
+        TrainedResponse(["front"]).row("left")
     assert refused.value.remedy
 
 
 def test_the_compiled_response_is_the_plain_one_with_its_gradients() -> None:
     random = torch.Generator().manual_seed(3)
-    response = CameraResponse(["front", "rear"])
+    response = TrainedResponse(["front", "rear"])
     with torch.no_grad():
         response.curve.slopes += 0.7 * torch.randn(response.curve.slopes.shape, generator=random)
         response.white += 0.1 * torch.randn(2, 3, generator=random)
@@ -93,7 +93,7 @@ def test_the_compiled_response_is_the_plain_one_with_its_gradients() -> None:
 
 
 def test_black_and_bright_pixels_have_finite_gradients() -> None:
-    response = CameraResponse(["front"])
+    response = TrainedResponse(["front"])
     colours = torch.tensor([0.0, -0.1, 1e-9, 1.0, 4.0, 1e6]).repeat(3, 1)[..., None].repeat(1, 1, 3).requires_grad_()
     image = response(colours, "front", -3.0)
     image.sum().backward()

@@ -14,7 +14,7 @@ from hybridworldsim.light.tone_curve import ToneCurve
 from mirror.errors import UsageError
 
 
-class CameraResponse(nn.Module):
+class TrainedResponse(nn.Module):
     """White balance, vignetting and tone curve of each camera.
 
     A street's colours are the image at gain one without vignetting: ``colour = f(light)``. An image at another gain is

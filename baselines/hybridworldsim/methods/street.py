@@ -264,6 +264,7 @@ LIGHT: Final = StreetMethod(
     lambda seed: LightSettings(seed=seed),
     capabilities=replace(ALL, separates_exposure=True, has_headlights=True),
     sizes=table_sizes,
+    scale=scale_street,
     reads_light=True,
 )
 """The paper's losses, with the exposure of each image, the cameras' response, and the vehicle's headlights."""

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 PIVOT: Final = 0.18
-"""Light that every curve maps to itself: without it a gain and a curve could not be told apart."""
+"""Light that every curve maps to itself: without it a gain and a curve could not be distinguished."""
 DARKEST: Final = 2.0**-12
 """Smaller light and smaller image values count as this."""
 

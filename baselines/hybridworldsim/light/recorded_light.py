@@ -47,7 +47,7 @@ class RecordedCamera:
 
 
 class LightDocument(BaseModel):
-    """What a model's file states of light, beside the tensors.
+    """The document of a model's light: everything that is not a tensor.
 
     Attributes:
         cameras: source, light, and (4, 4) mounting of each camera, by rows.

@@ -14,9 +14,9 @@ from benchmarks.gpu.machine import HEIGHT_PX, WIDTH_PX, Machine
 from benchmarks.gpu.quantities import BUDGETS_S
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder, TinySettings
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
-from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import SMALL, TINY, TINY_REFERENCES, TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
+from hybridworldsim.generation.training.costs import empty_conditions
 from mirror.metrics.features.extractor import extract
 from mirror.metrics.features.fid import InceptionFeatures
 from mirror.metrics.networks.inception import FidInception
@@ -69,7 +69,7 @@ def _frame_maker(
     def make(device: str) -> Callable[[], object]:
         with torch.device(device):
             network, codec = Transformer(config), TinyAutoencoder(TinySettings(config.latent_channels))
-        conditions = random_conditions(config, size_px, device)
+        conditions = empty_conditions(config, size_px, VIEWS, device)
         grid = [side // config.latent_stride for side in size_px]
         references = torch.randn(1, TINY_REFERENCES, VIEWS, config.latent_channels, *grid, device=device)
         noise = torch.randn(1, 1, VIEWS, config.latent_channels, *grid, device=device)
@@ -81,23 +81,6 @@ def _frame_maker(
         return frame
 
     return make
-
-
-def random_conditions(config: TransformerConfig, size_px: tuple[int, int], device: str) -> Conditions:
-    """Return conditions of one frame of seven views, with random layouts and backgrounds."""
-    shape = (1, 1, VIEWS)
-    layout = None if config.layout is None else torch.rand(*shape, config.layout.channels, *size_px, device=device)
-    return Conditions(
-        size_px,
-        torch.eye(3, device=device).expand(*shape, 3, 3).contiguous(),
-        torch.eye(4, device=device).expand(*shape, 4, 4).contiguous(),
-        torch.eye(4, device=device).expand(1, 1, 4, 4).contiguous(),
-        torch.full((1,), 5.0, device=device),
-        torch.zeros(*shape, 0, config.text_channels, device=device),
-        torch.zeros(*shape, config.pooled_channels, device=device),
-        layout,
-        torch.rand(*shape, 3, *size_px, device=device),
-    )
 
 
 def _product_speed(machine: Machine) -> float:

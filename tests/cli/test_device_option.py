@@ -19,7 +19,7 @@ from tests.conftest import ROOT
 EXAMPLE = f"{ROOT / 'examples' / 'method.py'}:METHOD"
 VERBS = (
     "reconstruct", "render", "view", "evaluate", "annotate", "annotate describe", "depth", "simulate", "serve",
-    "generate train", "generate distil", "generate scene",
+    "generate clips", "generate train", "generate distil", "generate scene",
 )  # fmt: skip
 PLACED = """
 

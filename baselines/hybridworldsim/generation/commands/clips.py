@@ -65,6 +65,9 @@ class ClipArguments:
     be given."""
     method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
     """Method of the static model."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
+    """Device that renders static models. auto: a GPU that torch and gsplat can use, else the CPU. The first line says
+    which."""
     workers: int = 1
     """Number of processes, which share the traversals. Clips do not depend on it."""
     json: bool = False
@@ -79,8 +82,12 @@ def run_clips(argv: Sequence[str]) -> int:
     from hybridworldsim.generation.commands.scene import parse_size
     from hybridworldsim.generation.recorded.run import ClipRequest, make_recorded_clips
     from hybridworldsim.generation.recorded.windows import WindowOptions
+    from hybridworldsim.generation.scenes.backgrounds import choose_background_device
     from mirror.progress import progress_bar
 
+    device = choose_background_device(arguments.background, arguments.device, arguments.method)
+    if not arguments.json:
+        print(device, flush=True)
     request = ClipRequest(
         arguments.background,
         split=arguments.split,
@@ -94,6 +101,7 @@ def run_clips(argv: Sequence[str]) -> int:
         min_score=arguments.min_score,
         method=arguments.method,
         workers=arguments.workers,
+        device=device.name,
     )
     with progress_bar(quiet=arguments.json) as bar:
         statistics = make_recorded_clips(mirror.open(arguments.dataset), request, arguments.out, bar)

@@ -43,6 +43,9 @@ class Train:
     """A trained autoencoder: model.safetensors of an earlier run."""
     autoencoder_steps: int = 2000
     """Number of steps of the autoencoder."""
+    preset: Literal["tiny", "small"] = "tiny"
+    """Size of the network. tiny: 6.6 million parameters, for images of a hundred pixels, trained on one core.
+    small: 63 million, for images of 448 x 256 (mirror generate clips --size 448x256), trained on a GPU."""
     captions: Annotated[Path | None, help_text(default="no text", metavar="FILE")] = None
     """Embedded captions: safetensors with NAME/tokens and NAME/pooled, where NAME is a clip, CLIP/CAMERA, a camera, or
     all. The network takes the width that they have."""
@@ -85,10 +88,12 @@ class Train:
     @property
     def settings(self) -> GeneratorSettings:
         """The settings of the training."""
+        from hybridworldsim.generation.network.configuration import SIZES
         from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
         from hybridworldsim.generation.training.run import with_map, with_text_of, without_background
 
         settings = GeneratorSettings(
+            network=SIZES[self.preset],
             weighting=self.weighting,
             batch=self.batch,
             accumulate=self.accumulate,

@@ -208,5 +208,8 @@ SMALL: Final = replace(
 )
 """A network of 63 million parameters for images of 448 x 256, trained on a GPU; its parts are those of `TINY`."""
 
+SIZES: Final = {"tiny": TINY, "small": SMALL}
+"""The networks that `mirror generate train` trains, by name."""
+
 BASES: Final = {"ctsd-35": CTSD_35, "unimlvg": UNIMLVG}
 """Released models that can be loaded, by name."""

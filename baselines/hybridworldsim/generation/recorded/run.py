@@ -12,7 +12,7 @@ from typing import Any, Final
 from hybridworldsim.generation.clips.folder import LIST, ClipList, write_list
 from hybridworldsim.generation.clips.weights import RULE
 from hybridworldsim.generation.devices import require_counts
-from hybridworldsim.generation.network.configuration import TINY
+from hybridworldsim.generation.network.configuration import SMALL
 from hybridworldsim.generation.recorded.documents import ClipStatistics, TraversalClips, join_counts, join_numbers
 from hybridworldsim.generation.recorded.sheet import write_sheet
 from hybridworldsim.generation.recorded.sources import ClipSources, find_sources
@@ -20,6 +20,7 @@ from hybridworldsim.generation.recorded.traversal_clips import ClipMaker, ClipSe
 from hybridworldsim.generation.recorded.windows import TraversalWindows, WindowOptions, plan_windows, require_bounds
 from hybridworldsim.generation.scenes.rollout import require_size
 from mirror.dataset.dataset import Dataset
+from mirror.devices import CPU, hardware_name
 from mirror.errors import DatasetError, UsageError
 from mirror.pools import process_pool
 from mirror.progress import ProgressReporter
@@ -47,6 +48,7 @@ class ClipRequest:
         min_score: see `ClipSettings`.
         method: ``FILE.py:OBJECT`` of the models' method; None: it is installed.
         workers: number of processes.
+        device: where static models render, as torch names it.
     """
 
     backgrounds: tuple[str, ...]
@@ -61,6 +63,7 @@ class ClipRequest:
     min_score: float = 0.3
     method: str | None = None
     workers: int = 1
+    device: str = CPU
 
     def __post_init__(self) -> None:
         require_counts(workers=self.workers)
@@ -88,7 +91,7 @@ def make_recorded_clips(
         UsageError: the request does not fit the dataset, something is missing, or the folder holds other files.
         DatasetError: an image, a mask or a model is missing or broken, no window shows a road user, or a worker died.
     """
-    require_size(TINY, request.size_px, "choose whole tokens")
+    require_size(SMALL, request.size_px, "choose whole tokens")
     sources = find_sources(
         dataset, request.backgrounds, split=request.split, role=request.role, boxes=request.boxes, method=request.method
     )
@@ -103,7 +106,7 @@ def make_recorded_clips(
     start_render_folder(
         out, [f"{name}={value}" for name, value in sorted(inputs.items())], last=LIST, kind=FolderKind.CLIPS
     )
-    maker = ClipMaker(str(dataset.root), dataset.layers.poses, sources, settings, out)
+    maker = ClipMaker(str(dataset.root), dataset.layers.poses, sources, settings, out, request.device)
     done: dict[str, TraversalClips] = {}
     progress.start("windows", sum(len(one.firsts) for one in planned))
     for one in planned:
@@ -211,6 +214,8 @@ def _inputs(dataset: Dataset, request: ClipRequest, sources: ClipSources, settin
         "backgrounds": {scene: street.identity for scene, street in sorted(sources.streets.items())},
         "windows": asdict(request.windows),
         **asdict(settings),
+        # Images of a GPU differ in the last digits; clips of the CPU keep their documents.
+        **({} if request.device == CPU else {"device": hardware_name(request.device)}),
     }
 
 

@@ -28,6 +28,7 @@ from hybridworldsim.generation.scenes.scene_clip import CLASS_OF
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.dataset import open as open_dataset
 from mirror.dataset.frames import Frame
+from mirror.devices import CPU
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.model import ModelFolder, ModelRenderer
 from mirror.protocols.views.view import RenderView
@@ -70,6 +71,7 @@ class ClipMaker:
         sources: what the clips are made of.
         settings: see `ClipSettings`.
         out: folder of the clips.
+        device: where static models render.
     """
 
     root: str
@@ -77,6 +79,7 @@ class ClipMaker:
     sources: ClipSources
     settings: ClipSettings
     out: Path
+    device: str = CPU
     _opened: dict[str, Any] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -177,7 +180,9 @@ class ClipMaker:
         return self._open(street, views)
 
     def _open(self, street: StaticStreet, views: list[RenderView]) -> ModelRenderer:
-        return ModelFolder.read(Path(street.text), self.settings.method).open(AppearancePolicy("nearest", views))
+        return ModelFolder.read(Path(street.text), self.settings.method).open(
+            AppearancePolicy("nearest", views), device=self.device
+        )
 
     def _hidden(self, dataset: Dataset, scene_id: str, background: Background) -> HiddenShares | None:
         if not isinstance(background, ModelRenderer) or not background.capabilities.renders_depth:

@@ -13,6 +13,7 @@ import numpy as np
 
 from mirror.arrays import Int64, UInt8
 from mirror.dataset.dataset import Dataset
+from mirror.devices import Device, choose_device
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.protocols.png import HEADER_BYTES, png_size
@@ -67,6 +68,30 @@ def open_background(
         street.require_drives(views)
         return street, text
     return _open_model(Path(text), dataset, appearance, views, method)
+
+
+def choose_background_device(texts: Sequence[str], requested: str, method: str | None = None) -> Device:
+    """Choose the device that renders backgrounds: on a GPU only if all are models that can render there.
+
+    Args:
+        texts: as in `open_background`.
+        requested: the value of ``--device``.
+        method: ``FILE.py:OBJECT`` of the static models' method; None: it is installed.
+
+    Raises:
+        UsageError: there is no such device, or a background cannot be rendered on it.
+        DatasetError: a background is a folder without a model.
+    """
+    from mirror.methods.model import ModelFolder
+
+    if not texts:
+        return choose_device(requested, "no background", takes_device=False)
+    for text in texts:
+        kind, colon, _ = text.partition(":")
+        if kind in ("exact", "files") and colon:
+            return choose_device(requested, f"--background {text}", takes_device=False)
+    devices = [ModelFolder.read(Path(text), method).choose_device(requested) for text in texts]
+    return next((device for device in devices if not device.is_cuda), devices[0])
 
 
 def calibrations_of(text: str) -> str:

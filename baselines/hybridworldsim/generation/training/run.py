@@ -28,6 +28,7 @@ from hybridworldsim.generation.training.autoencoder_trainer import (
     reconstruction_psnr_db,
 )
 from hybridworldsim.generation.training.clip_images import ClipImages
+from hybridworldsim.generation.training.costs import count_costs, measure_speed
 from hybridworldsim.generation.training.documents import GenerationOutcome, GenerationRun
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings, GeneratorTrainer
 from hybridworldsim.generation.training.numbered import numbered_training
@@ -38,7 +39,7 @@ from hybridworldsim.training.run.exhaustion import exhausted_memory_named
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.processes import Processes, join_processes
-from mirror.devices import CPU, resolve_device
+from mirror.devices import CPU, require_memory, resolve_device
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256
@@ -125,6 +126,11 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     if without_map is not None:
         reporter.message(without_map)
     captions = read_clip_captions(options.captions, network, loaded.headers)
+    first = loaded.headers[0]
+    costs = count_costs(options.settings, first.size_px, len(first.views))
+    speed = measure_speed(options.device, options.settings.precision)
+    reporter.message(costs.describe(options.steps, options.device, speed))
+    require_memory(options.device, costs.memory_bytes, TRAINING_REMEDY)
     outcome: GenerationOutcome | None = None
     autoencoder = options.autoencoder
     with (

@@ -5,7 +5,7 @@ STAMP := $(VENV)/.installed
 # Without bytecode each of the hundreds of processes of the tests compiles every module that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test pytest fuzz peers processors lint mutants wheel clean
+.PHONY: demo docs test pytest fuzz peers processors lint mutants wheel clean
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
@@ -52,6 +52,11 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python docs/check_words.py
+	$(BIN)/python docs/make_site.py
+
+# The site of the documentation in build/site; a link to nothing ends it. `make lint` builds it too.
+docs: $(STAMP)
+	$(BIN)/python docs/make_site.py
 
 clean:
 	rm -rf $(VENV) demo build dist *.egg-info

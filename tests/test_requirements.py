@@ -11,7 +11,7 @@ from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-TOOLS = {"dev", "bench"}
+TOOLS = {"dev", "bench", "docs"}
 """Extras of those who change the project: their packages are not needed at run time."""
 
 
@@ -33,6 +33,12 @@ def test_each_package_of_the_base_and_of_extras_is_pinned_within_its_bounds(name
     for required in _required():
         assert required.name in pinned, f"{name} does not pin {required.name}"
         assert required.specifier.contains(pinned[required.name]), f"{name}: {required} excludes its pin"
+
+
+def test_the_builder_of_the_site_is_pinned() -> None:
+    pinned = _read_set("constraints.txt")
+    for required in map(Requirement, PROJECT["optional-dependencies"]["docs"]):
+        assert required.specifier.contains(pinned[required.name]), required
 
 
 def test_minimal_set_has_the_lower_bounds() -> None:

@@ -1,0 +1,183 @@
+"""Builds the site of the documentation: ``make docs``, or ``python docs/make_site.py [--sources-only]``.
+
+The pages are docs/*.md and README.md as its first page; the references of the command line and of the Python names are
+made from the code. Zensical builds them by mkdocs.yml; a link to nothing ends the build.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+SOURCES: Final = ROOT / "build" / "docs"
+"""The folder of the pages that Zensical reads; mkdocs.yml names it."""
+PACKAGES: Final = (
+    "mirror",
+    "mirror.dataset",
+    "mirror.geometry",
+    "mirror.metrics",
+    "mirror.metrics.safety",
+    "mirror.recordings",
+    "mirror.protocols",
+    "mirror.methods",
+    "mirror.annotation",
+    "mirror.calibration",
+    "mirror.privacy",
+    "mirror.synth",
+)
+"""The packages whose ``__all__`` is the reference of Python names."""
+_LINK: Final = re.compile(r"(\]\()([^)\s#]+)(#[^)]*)?(\))")
+_FILES: Final = "files"
+"""Folder of the site with the files of the repository that pages link to."""
+
+
+def write_sources(out: Path) -> list[Path]:
+    """Write the pages that the site is built from.
+
+    Args:
+        out: the folder; what it held is removed.
+
+    Returns:
+        The pages.
+    """
+    shutil.rmtree(out, ignore_errors=True)
+    (out / "reference").mkdir(parents=True)
+    shutil.copytree(ROOT / "docs" / "images", out / "images")
+    pages = {path: out / path.name for path in sorted((ROOT / "docs").glob("*.md"))}
+    pages[ROOT / "README.md"] = out / "index.md"
+    pages[ROOT / "CHANGELOG.md"] = out / "changelog.md"
+    pages[ROOT / "CONTRIBUTING.md"] = out / "contributing.md"
+    pages[ROOT / "SECURITY.md"] = out / "security.md"
+    for source, page in pages.items():
+        page.write_text(_rewrite_links(source, pages, out))
+    commands, names = out / "reference" / "command-line.md", out / "reference" / "python.md"
+    commands.write_text(describe_commands())
+    names.write_text(describe_names())
+    return [*pages.values(), commands, names]
+
+
+def _rewrite_links(source: Path, pages: dict[Path, Path], out: Path) -> str:
+    """Return a page whose links lead to pages of the site; other files of the repository are copied into the site."""
+
+    def rewrite(found: re.Match[str]) -> str:
+        opening, address, heading, closing = found.groups()
+        target = (source.parent / address).resolve()
+        if "://" in address or address.startswith("mailto:") or not target.exists() or target.is_relative_to(out):
+            return found.group(0)
+        if target in pages:
+            return f"{opening}{pages[target].relative_to(out).as_posix()}{heading or ''}{closing}"
+        if target.is_relative_to(ROOT / "docs" / "images"):
+            return f"{opening}{target.relative_to(ROOT / 'docs').as_posix()}{closing}"
+        return f"{opening}{_copy_file(target, out)}{closing}"
+
+    return _LINK.sub(rewrite, source.read_text())
+
+
+def _copy_file(target: Path, out: Path) -> str:
+    """Copy a file of the repository into the site, a folder as the list of its files; returns its address."""
+    place = PurePosixPath(_FILES, target.relative_to(ROOT).as_posix())
+    # Other documents stay text: their own links lead into the repository.
+    copy = out / (f"{place}.txt" if target.is_dir() or target.suffix == ".md" else place)
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    if target.is_dir():
+        copy.write_text("\n".join(sorted(path.name for path in target.iterdir())) + "\n")
+    else:
+        shutil.copy(target, copy)
+    return copy.relative_to(out).as_posix()
+
+
+def describe_commands() -> str:
+    """Describe the command line: the help of every verb and subcommand, as they print it."""
+    from mirror.cli.verbs import HEADINGS, all_commands
+
+    lines = [
+        "# Command line",
+        "",
+        "This page is the help of every verb, for those who look an option up; `mirror VERB --help` prints the same.",
+        "It is made from the code. What the verbs are for stands in the pages of the tutorials and how-to guides.",
+        "",
+    ]
+    commands = all_commands()
+    for group, heading in HEADINGS.items():
+        lines += [f"## {heading}", ""]
+        for verb, command in commands.items():
+            if command.group == group:
+                lines += _describe_verb(verb, command.summary)
+    return "\n".join(lines)
+
+
+def _describe_verb(verb: str, summary: str) -> list[str]:
+    text = read_help(verb)
+    lines = [f"### mirror {verb}", "", f"{summary[0].upper()}{summary[1:]}.", "", "```text", text.strip(), "```", ""]
+    first = text.split("\n", 1)[0]
+    for sub in re.findall(rf"usage: mirror {verb} ([\w|-]+\|[\w|-]+)", first)[:1]:
+        for name in sub.split("|"):
+            lines += [f"#### mirror {verb} {name}", "", "```text", read_help(f"{verb} {name}").strip(), "```", ""]
+    return lines
+
+
+def read_help(words: str) -> str:
+    """Return the help of a command in 100 columns, without colours."""
+    from mirror.cli.main import main
+
+    said = io.StringIO()
+    with redirect_stdout(said), redirect_stderr(io.StringIO()), suppress(SystemExit):
+        main([*words.split(), "--help"])
+    text = re.sub(r"\x1b\[[0-9;]*m", "", said.getvalue())
+    return "\n".join(line.rstrip() for line in text.splitlines())
+
+
+def describe_names() -> str:
+    """Describe the public Python names: what mkdocstrings reads from the docstring of each."""
+    lines = [
+        "# Python names",
+        "",
+        "This page is the reference of the public names, for those who call MIRROR from Python; it is made from their",
+        "docstrings, whose examples a test runs. Names that are not here may change without a line in the changelog.",
+        "",
+    ]
+    described: dict[str, str] = {}
+    for package in PACKAGES:
+        module = importlib.import_module(package)
+        summary = (inspect.getdoc(module) or "").split("\n\n", 1)[0].replace("\n", " ")
+        lines += [f"## {package}", "", summary, ""]
+        for name in module.__all__:
+            value = getattr(module, name)
+            if not (inspect.isclass(value) or inspect.isfunction(value)):
+                lines += [f"- `{package}.{name}`", ""]
+                continue
+            path = f"{value.__module__}.{value.__qualname__}"
+            if path in described:
+                lines += [f"- `{package}.{name}`: see `{described[path]}`", ""]
+                continue
+            described[path] = f"{package}.{name}"
+            lines += [f"::: {path}", "    options:", "      heading_level: 3", f"      heading: {package}.{name}", ""]
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Write the sources and build the site; returns the exit code of the build."""
+    # The help of verbs is formatted for this width.
+    os.environ.update(COLUMNS="100", NO_COLOR="1", TERM="dumb")
+    pages = write_sources(SOURCES)
+    if "--sources-only" in sys.argv[1:]:
+        print(f"{len(pages)} pages in {SOURCES}")
+        return 0
+    built = subprocess.run([Path(sys.executable).with_name("zensical"), "build", "--strict"], cwd=ROOT, check=False)
+    if built.returncode == 0:
+        print(f"site: {ROOT / 'build' / 'site' / 'index.html'}")
+    return built.returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -31,9 +31,10 @@ from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_exp, quaternion_inverse, quaternion_multiply
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_CAMERA, track_from_utm
+from mirror.recordings.on_road import OPTION, above_road_note, put_on_road
 from mirror.recordings.opening import find_file, unreadable_error
 from mirror.recordings.paths import list_folder
-from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
+from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, Recording, RigInfo, Track
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.tabular import RecordingRows, read_rows
 
@@ -56,13 +57,13 @@ class BoreasReader:
         """Return whether the folder has the name of a sequence and a pose file."""
         return _NAME.fullmatch(path.resolve().name) is not None and _pose_file(path) is not None
 
-    def open(self, path: Path, options: Mapping[str, str]) -> BoreasRecording:
-        """Open a sequence; there are no options."""
-        refuse_options(options, (), path, self.name)
+    def open(self, path: Path, options: Mapping[str, str]) -> Recording:
+        """Open a sequence. The option ``height_m`` is the height of the camera above the road."""
+        refuse_options(options, (OPTION,), path, self.name)
         poses = _pose_file(path)
         if poses is None:
             raise RecordingError("no pose file", file=path, expected=" or ".join(_POSES))
-        return BoreasRecording(path, poses)
+        return put_on_road(BoreasRecording(path, poses), options, path)
 
 
 def _pose_file(path: Path) -> Path | None:
@@ -98,6 +99,7 @@ class BoreasRecording:
             body_frame="camera",
             city="Toronto",
             licence="CC BY 4.0",
+            notes=(above_road_note("camera"),),
         )
 
     @property

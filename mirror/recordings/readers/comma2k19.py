@@ -29,9 +29,10 @@ from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply
 from mirror.recordings.calibration import Calibration, Stage, to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_CAMERA, FLU_FROM_FRD, mark_invalid_rotations, track_from_ecef
+from mirror.recordings.on_road import OPTION, above_road_note, put_on_road
 from mirror.recordings.opening import find_file, read_array, require_file
 from mirror.recordings.paths import natural_key, to_identifier
-from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
+from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, Recording, RigInfo, Track
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import WEEK_S, unix_from_gps_week
@@ -59,13 +60,13 @@ class Comma2k19Reader:
         """Return whether the folder is a segment with an array of positions, or holds such a segment."""
         return path.is_dir() and any(_has_positions(path, segment) for segment in _segments(path))
 
-    def open(self, path: Path, options: Mapping[str, str]) -> Comma2k19Recording:
-        """Open a route or a segment; there are no options."""
-        refuse_options(options, (), path, self.name)
+    def open(self, path: Path, options: Mapping[str, str]) -> Recording:
+        """Open a route or a segment. The option ``height_m`` is the height of the camera above the road."""
+        refuse_options(options, (OPTION,), path, self.name)
         segments = _segments(path) if path.is_dir() else []
         if not any(_has_positions(path, segment) for segment in segments):
             raise RecordingError("no segment", file=path, expected=self.expects)
-        return Comma2k19Recording(path, tuple(segments))
+        return put_on_road(Comma2k19Recording(path, tuple(segments)), options, path)
 
 
 def _segments(path: Path) -> list[Path]:
@@ -116,6 +117,7 @@ class Comma2k19Recording:
             time_base="GPS week and seconds",
             body_frame="camera",
             licence="MIT",
+            notes=(above_road_note("camera"),),
         )
 
     @property

@@ -27,9 +27,10 @@ from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, rotate
 from mirror.recordings.calibration import to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_FRD
+from mirror.recordings.on_road import OPTION, above_road_note, put_on_road
 from mirror.recordings.opening import find_file, require_file
 from mirror.recordings.paths import to_identifier
-from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
+from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, Recording, RigInfo, Track
 from mirror.recordings.readers.collection import choose_drive, one_of
 from mirror.recordings.readers.kitti360_boxes import find_boxes, read_boxes
 from mirror.recordings.readers.kitti360_cameras import CALIBRATION_FILES, CAMERAS, read_calibrations
@@ -74,21 +75,23 @@ class Kitti360Reader:
             if child.is_dir() and find_file(path, f"{_POSES}/{child.name}/poses.txt")
         )
 
-    def open(self, path: Path, options: Mapping[str, str]) -> Kitti360Recording:
+    def open(self, path: Path, options: Mapping[str, str]) -> Recording:
         """Open a drive.
 
         The option ``tz`` is the zone of the stamps, which the dataset does not state (``UTC``, or an IANA name).
         ``fisheye`` is ``yes`` (all cameras that have images) or ``no`` (the rectified ones). ``boxes`` is ``movable``
-        (road users), ``all`` (also buildings, poles and other objects) or ``no``.
+        (road users), ``all`` (also buildings, poles and other objects) or ``no``. ``height_m`` is the height of the IMU
+        above the road.
         """
-        refuse_options(options, ("tz", "fisheye", "boxes"), path, self.name)
+        refuse_options(options, ("tz", "fisheye", "boxes", OPTION), path, self.name)
         root, name = (path, None) if self.recognises(path) else (path.parent, path.name)
         if not self.recognises(root):
             raise RecordingError("no KITTI-360 folder", file=path, expected=self.expects)
         cameras = CAMERAS if one_of(options, "fisheye", ("yes", "no"), path) == "yes" else _RECTIFIED
         kinds = one_of(options, "boxes", ("movable", "all", "no"), path)
         drive = choose_drive(self.drives(root), name, root)
-        return Kitti360Recording(root, drive, options.get("tz", "UTC"), tuple(cameras), kinds)
+        recording = Kitti360Recording(root, drive, options.get("tz", "UTC"), tuple(cameras), kinds)
+        return put_on_road(recording, options, path)
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,7 @@ class Kitti360Recording:
             body_frame="imu",
             city="Karlsruhe",
             licence="CC BY-NC-SA 3.0",
+            notes=(above_road_note("imu"),),
         )
 
     def _stamps(self, camera: str) -> tuple[Path, Int64]:

@@ -13,7 +13,6 @@ import pyarrow as pa
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
-from mirror.geometry.poses import Poses
 from mirror.recordings.opening import read_file
 from mirror.recordings.paths import list_folder
 from mirror.recordings.protocol import FileStream
@@ -226,8 +225,3 @@ def camera_centre(projection: Float64, name: str, file: Path) -> Float64:
     with np.errstate(over="ignore", invalid="ignore"):
         across = (projection[:2, 3] - projection[:2, 2] * along) / focal
     return -np.array([*across, along])
-
-
-def above_road(height_m: float) -> Poses:
-    """Return ``ego_SE3_body`` of an upright body: the ego's origin lies on the road below it."""
-    return Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, height_m]]))

@@ -29,6 +29,7 @@ from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, rotate
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_CAMERA, to_ego_track
+from mirror.recordings.on_road import above_road
 from mirror.recordings.opening import find_file, read_file_start, require_file
 from mirror.recordings.paths import to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
@@ -37,7 +38,6 @@ from mirror.recordings.readers.collection import choose_drive
 from mirror.recordings.readers.kitti_files import (
     CAMERA_HEIGHT_M,
     NO_STAMP,
-    above_road,
     camera_centre,
     list_numbered_images,
     read_named_values,

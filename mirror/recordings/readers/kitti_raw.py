@@ -30,6 +30,7 @@ from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_exp, quaternion_multiply
 from mirror.recordings.calibration import to_calibration_table
 from mirror.recordings.coordinates import to_ego_track
+from mirror.recordings.on_road import above_road
 from mirror.recordings.opening import find_file, read_file
 from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
@@ -37,7 +38,6 @@ from mirror.recordings.readers.collection import one_of
 from mirror.recordings.readers.kitti_files import (
     NO_STAMP,
     RECEIVER_HEIGHT_M,
-    above_road,
     list_numbered_images,
     read_frame_stamps,
     to_frame_stream,

@@ -23,10 +23,10 @@ from mirror.arrays import Float64
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.recordings.calibration import Calibration, Stage, make_calibration
+from mirror.recordings.on_road import above_road
 from mirror.recordings.opening import find_file
 from mirror.recordings.readers.kitti_files import (
     RECEIVER_HEIGHT_M,
-    above_road,
     camera_centre,
     read_named_values,
     to_numbers,

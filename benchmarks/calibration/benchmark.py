@@ -1,8 +1,8 @@
 """Calibration checking and refinement on the synthetic street, compared with injected errors.
 
-``python -m benchmarks calibration [check|refine|gain|scales] [--draws N]``; for ``refine`` see
+``python -m benchmarks calibration [check|refine|gain|scales|align] [--draws N]``; for ``refine`` see
 `benchmarks.calibration.refinement`, for ``gain`` `benchmarks.calibration.gain`, for ``scales``
-`benchmarks.calibration.scales`.
+`benchmarks.calibration.scales`, for ``align`` `benchmarks.calibration.alignment`.
 Check: drives of three vehicle types by day and by night: 20 frames of 7 cameras on a turn, stored as JPEG, tracked
 once. Then rotation errors of 0.05 to 1.0 degrees are injected into every mounting, and poses, lenses and mounting
 positions get recorded errors, many times. Figures are total angles of the remaining error; the column ``error`` has the
@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.calibration.alignment import align_rows
 from benchmarks.calibration.gain import gain_rows
 from benchmarks.calibration.recording import (
     DriveTracks,
@@ -121,18 +122,25 @@ def straight_rows(draws: int) -> Iterator[Row]:
 def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks calibration")
     parser.add_argument(
-        "what", nargs="?", choices=("check", "refine", "gain", "scales"), default="check", help="default: check"
+        "what",
+        nargs="?",
+        choices=("check", "refine", "gain", "scales", "align"),
+        default="check",
+        help="default: check",
     )
     parser.add_argument("--vehicles", default=",".join(VEHICLES), help="rigs of the refinement, separated by commas")
     parser.add_argument("--lights", default=",".join(LIGHTS), help="light of the refinement, separated by commas")
     parser.add_argument("--draws", type=int, default=20, help="number of draws of the recorded errors for each drive")
     parser.add_argument("--frames", type=int, default=DEFAULT_CHOICE.frames, help="frames of a refined traversal")
     parser.add_argument("--traversals", type=int, default=1, help="traversals that are refined together")
-    parser.add_argument("--data", type=Path, default=OUT / "calibration_gain", help="working folder of the gain")
+    parser.add_argument("--data", type=Path, help="working folder of the gain or the alignment")
     parser.add_argument("--steps", type=int, default=2000, help="training images of each model of the gain")
     options = parser.parse_args(argv)
     if options.what == "gain":
-        return report("calibration_gain", {"gain": gain_rows(options.data, options.steps)})
+        return report("calibration_gain", {"gain": gain_rows(options.data or OUT / "calibration_gain", options.steps)})
+    if options.what == "align":
+        rows = align_rows(options.draws, options.data or OUT / "calibration_align")
+        return report("calibration_align", {"alignment": rows}, errors="median error")
     if options.what == "scales":
         return report("calibration_scales", {"scales": scale_rows(options.draws)}, errors="half width")
     if options.what == "refine":

@@ -43,6 +43,10 @@ _EXAMPLES: Final = {
         "mirror export lerobot demo/dataset --scene street --traversal street.drive-01.1747209979231 --out lerobot",
         "mirror export lerobot demo/dataset --scene street --camera front_wide --split novel --out lerobot",
     ),
+    "ncore": (
+        "mirror export ncore demo/dataset --scene street --out ncore",
+        "mirror export ncore demo/dataset --scene street --camera front_wide --boxes petr@1 --out ncore",
+    ),
 }
 _SUMMARIES: Final = {
     "colmap": "a COLMAP 4 model: cameras, rigs, frames, images, points, masks",
@@ -52,8 +56,9 @@ _SUMMARIES: Final = {
     "kitti": "KITTI odometry sequences with tracking labels",
     "webdataset": "tar files with one sample for each frame",
     "lerobot": "a LeRobot v3.0 dataset with an episode for each traversal, split at gaps in time",
+    "ncore": "NVIDIA NCore V4 stores, one for each traversal, with every lens, shutter, boxes and masks",
 }
-_WITH_BOXES: Final = ("nuscenes", "kitti", "webdataset")
+_WITH_BOXES: Final = ("nuscenes", "kitti", "webdataset", "ncore")
 
 
 @dataclass(frozen=True)

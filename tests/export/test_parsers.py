@@ -13,6 +13,8 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.raster import image_raster
 from mirror.errors import UsageError
 from mirror.export.gsplat_parser import Parser
+from mirror.export.mask_files import write_mask_files
+from mirror.export.scene import select_scene
 from tests.builders.street import LENSES
 from tests.export.peers import RESULTS
 
@@ -78,3 +80,17 @@ def test_rays_of_the_dataparser_are_those_of_the_dataset(street: Dataset) -> Non
             expected = pose.transform(image.camera_model.unproject(entry["pixels"]).direction)[0] - pose.translation[0]
             np.testing.assert_allclose(entry["origin"], pose.translation[0], atol=1e-5)
             np.testing.assert_allclose(entry["directions"], expected, atol=1e-5, err_msg=camera)
+
+
+def test_masks_of_road_users_and_ego_reach_toolkits_that_take_files(street: Dataset) -> None:
+    images = select_scene(street, None, None, undistort=False).images
+    files = write_mask_files(images)
+    assert files is not None and len(files) == len(images)
+    shown = 0
+    for item, file in zip(images, files):
+        mask, expected = cv2.imread(str(file), cv2.IMREAD_UNCHANGED), item.valid_pixels()
+        assert mask.shape == (item.lens.height_px, item.lens.width_px)
+        np.testing.assert_array_equal(mask, np.full(mask.shape, 255) if expected is None else expected)
+        shown += int(expected is not None and (expected == 0).any())
+    assert shown > 0
+    assert write_mask_files([item for item in images if item.valid_pixels() is None]) is None

@@ -194,12 +194,12 @@ def test_the_scale_of_a_rig_survives_an_error_of_the_other_mounting() -> None:
     observed = [(own, np.arange(len(own))) for _, own in first]
     unit = 0.4
     small = Poses(cameras.rotation, cameras.translation * unit)
-    found = ImageMap(np.arange(12), small, world * unit, observed, LENS, 0.1, SimpleNamespace())
+    found = ImageMap(np.arange(12), small, world * unit, observed, [LENS], 0.1, SimpleNamespace())
     error = Poses(quaternion_exp(np.radians([[0.05, 0.2, -0.1]])), np.zeros((1, 3)))
     other = OtherCamera("right", LENS, beside @ error, 0.3, stamps, [one for one, _ in second])
     rig = scale_from_rig(used, found, NOMINAL, [other])
     assert abs(rig.scale * unit - 1.0) < 0.01 and rig.sigma_percent < 1.0
-    far = ImageMap(np.arange(12), small, world * unit, [(own[:2], own[:2]) for own, _ in observed], LENS, 0.1, None)
+    far = ImageMap(np.arange(12), small, world * unit, [(own[:2], own[:2]) for own, _ in observed], [LENS], 0.1, None)
     with pytest.raises(UsageError, match="points of the map"):
         scale_from_rig(used, far, NOMINAL, [other])
 

@@ -7,7 +7,7 @@ unknown lens is one focal length and one radial coefficient (COLMAP's ``SIMPLE_R
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,9 +16,9 @@ import numpy as np
 
 from mirror.arrays import Float64, Int64
 from mirror.calibration.refinement.features import ImageFeatures, match_features
+from mirror.errors import UsageError
 from mirror.geometry import Poses, quaternion_from_matrix
 from mirror.geometry.cameras import Camera
-from mirror.localisation.structure.used_images import UsedImages
 
 _WIDEST_DEG: Final = 72.0
 """Features farther from the axis of a known lens are not used: an ideal camera magnifies them without bound."""
@@ -30,15 +30,35 @@ _FARTHER: Final = (16, 24, 32)
 
 
 @dataclass(frozen=True, eq=False)
+class MappedImages:
+    """The images of a map with their features.
+
+    Attributes:
+        features: N sets of features.
+        camera: (N,) number of the camera of each image.
+        lenses: lens of each camera; None: it is estimated.
+        sizes_px: width and height of the images of each camera.
+    """
+
+    features: Sequence[ImageFeatures]
+    camera: Int64
+    lenses: Sequence[Camera | None]
+    sizes_px: Sequence[tuple[int, int]]
+
+    def __len__(self) -> int:
+        return len(self.features)
+
+
+@dataclass(frozen=True, eq=False)
 class ImageMap:
     """One map: registered images and points, in a frame and scale of its own.
 
     Attributes:
-        used: (F,) numbers of the registered images among the used ones, ascending.
+        used: (F,) numbers of the registered images, ascending.
         world_SE3_camera: F poses.
         points: (P, 3) points.
         observed: for each registered image the points (K,) and the features (K,) that show them.
-        lens: the lens, estimated if it was unknown.
+        lenses: the lens of each camera, estimated if it was unknown; None: the map has no image of it.
         residual_px: mean distance of the features from the projections of their points.
         reconstruction: pycolmap's own, to be adjusted further.
     """
@@ -47,25 +67,27 @@ class ImageMap:
     world_SE3_camera: Poses
     points: Float64
     observed: list[tuple[Int64, Int64]]
-    lens: Camera
+    lenses: Sequence[Camera | None]
     residual_px: float
     reconstruction: Any
 
+    @property
+    def lens(self) -> Camera:
+        """The lens of the only camera of the map."""
+        (lens,) = self.lenses
+        if lens is None:
+            raise UsageError("the map has no image", expected="registered images")
+        return lens
+
 
 def map_images(
-    images: UsedImages,
-    lens: Camera | None,
-    neighbours: int,
-    near: Int64,
-    advance: Callable[[int], None],
+    images: MappedImages, partners: Sequence[Sequence[int]], advance: Callable[[int], None]
 ) -> tuple[list[ImageMap], int]:
-    """Match the images of a camera and map them.
+    """Match images and map them.
 
     Args:
         images: the images.
-        lens: the lens; None: it is estimated.
-        neighbours: number of following images that an image is matched with.
-        near: (N, 2) further pairs of images to match, such as those that a track has near each other.
+        partners: for each image the later ones that it is matched with.
         advance: is called with 1 after each image that was matched.
 
     Returns:
@@ -76,88 +98,36 @@ def map_images(
     pycolmap.logging.minloglevel = 2
     pycolmap.set_random_seed(0)
     with tempfile.TemporaryDirectory(prefix="mirror-poses-") as folder:
-        database, kept, matched = _write_database(Path(folder) / "images.db", images, lens, neighbours, near, advance)
+        file = Path(folder) / "images.db"
+        kept, matched = _write_database(file, images, partners, advance)
         options = pycolmap.IncrementalPipelineOptions()
         options.random_seed = 0
         options.extract_colors = False
         options.min_model_size = 3
-        options.ba_refine_focal_length = options.ba_refine_extra_params = lens is None
+        is_free = any(lens is None for lens in images.lenses)
+        options.ba_refine_focal_length = options.ba_refine_extra_params = is_free
         # A vehicle drives along the axis of its front camera: the angles between rays are small.
         options.mapper.init_max_forward_motion = 1.0
         options.mapper.init_min_tri_angle = 4.0
         options.mapper.filter_min_tri_angle = options.triangulation.min_angle = 0.5
-        found = pycolmap.incremental_mapping(database, folder, folder, options)
+        found = pycolmap.incremental_mapping(file, folder, folder, options)
         maps, taken = [], set[int]()
         for reconstruction in sorted(found.values(), key=lambda one: -one.num_reg_images()):
-            one = _read_map(reconstruction, images, lens, kept, taken)
+            one = _read_map(reconstruction, images, kept, taken)
             if one is not None:
                 maps.append(one)
                 taken.update(one.used.tolist())
     return maps, matched
 
 
-def ideal_camera(lens: Camera) -> Camera:
-    """Return the pinhole camera of a lens' focal length and raster, whose features `map_images` uses."""
-    focal = lens.fx_px
-    if lens.model == "f_theta":
-        # The pixels a radian about the axis.
-        ray = np.array([[np.tan(1e-3), 0.0, 1.0]])
-        focal = float((lens.project(ray).uv_px[0, 0] - lens.project(np.array([[0.0, 0.0, 1.0]])).uv_px[0, 0]) / 1e-3)
-    tall = lens.fy_px if lens.model != "f_theta" else focal
-    return Camera("pinhole", lens.width_px, lens.height_px, focal, tall, lens.cx_px, lens.cy_px)
+def sequence_partners(count: int, neighbours: int, near: Int64) -> list[list[int]]:
+    """Return the later images that each image of a sequence is matched with.
 
-
-def _to_ideal(features: ImageFeatures, lens: Camera) -> tuple[Float64, Int64]:
-    """Return the positions (K, 2) of features in the ideal camera, and the features (K,) that it has."""
-    rays = lens.unproject(features.uv_px).direction
-    kept = np.flatnonzero(np.isfinite(rays).all(axis=1) & (rays[:, 2] > np.cos(np.radians(_WIDEST_DEG))))
-    return ideal_camera(lens).project(rays[kept]).uv_px, kept
-
-
-def _write_database(
-    file: Path, images: UsedImages, lens: Camera | None, neighbours: int, near: Int64, advance: Callable[[int], None]
-) -> tuple[Path, list[Int64], int]:
-    """Write features and verified matches; return the file, the features of each image in it, and the pairs."""
-    import pycolmap
-
-    camera = _to_pycolmap(images, lens)
-    database = pycolmap.Database.open(file)
-    camera.camera_id = database.write_camera(camera)
-    rig = pycolmap.Rig()
-    rig.add_ref_sensor(camera.sensor_id)
-    rig_id = database.write_rig(rig)
-    places, kept, ids = [], [], []
-    for number, features in enumerate(images.features):
-        uv, own = (features.uv_px, np.arange(len(features))) if lens is None else _to_ideal(features, lens)
-        image = pycolmap.Image(name=f"{number:08d}", camera_id=camera.camera_id)
-        image.image_id = database.write_image(image)
-        frame = pycolmap.Frame()
-        frame.rig_id = rig_id
-        frame.add_data_id(image.data_id)
-        database.write_frame(frame)
-        database.write_keypoints(image.image_id, uv.astype(np.float32))
-        places.append(uv)
-        kept.append(np.asarray(own, np.int64))
-        ids.append(image.image_id)
-    options, pairs = pycolmap.TwoViewGeometryOptions(), 0
-    options.ransac.random_seed = 0
-    for one, others in enumerate(_partners(len(images), neighbours, near)):
-        for other in others:
-            found = _match(images, kept, one, other)
-            if len(found) < _LEAST_MATCHES:
-                continue
-            geometry = pycolmap.estimate_two_view_geometry(camera, places[one], camera, places[other], found, options)
-            if len(geometry.inlier_matches) >= _LEAST_MATCHES:
-                database.write_matches(ids[one], ids[other], found)
-                database.write_two_view_geometry(ids[one], ids[other], geometry)
-                pairs += 1
-        advance(1)
-    database.close()
-    return file, kept, pairs
-
-
-def _partners(count: int, neighbours: int, near: Int64) -> list[list[int]]:
-    """Return the later images that each image is matched with."""
+    Args:
+        count: number of images, in order of time.
+        neighbours: number of following images.
+        near: (N, 2) further pairs.
+    """
     partners = []
     for one in range(count):
         own = set(range(one + 1, one + 1 + neighbours)) | {one + step for step in _FARTHER}
@@ -166,31 +136,89 @@ def _partners(count: int, neighbours: int, near: Int64) -> list[list[int]]:
     return partners
 
 
-def _match(images: UsedImages, kept: list[Int64], one: int, other: int) -> np.ndarray[Any, np.dtype[np.uint32]]:
-    found = match_features(_part(images.features[one], kept[one]), _part(images.features[other], kept[other]))
-    return found.astype(np.uint32)
+def ideal_camera(lens: Camera) -> Camera:
+    """Return the pinhole camera of a lens' focal length and raster, whose features `map_images` uses."""
+    across, tall = lens.fx_px, lens.fy_px
+    if lens.model == "f_theta":
+        # The pixels a radian about the axis.
+        rays = np.array([[np.tan(1e-3), 0.0, 1.0], [0.0, 0.0, 1.0]])
+        across = tall = float(np.diff(lens.project(rays).uv_px[::-1, 0])[0] / 1e-3)
+    return Camera("pinhole", lens.width_px, lens.height_px, across, tall, lens.cx_px, lens.cy_px)
+
+
+def _to_ideal(features: ImageFeatures, lens: Camera | None) -> tuple[Float64, Int64]:
+    """Return the positions (K, 2) of features in the ideal camera, and the features (K,) that it has."""
+    if lens is None:
+        return features.uv_px, np.arange(len(features), dtype=np.int64)
+    rays = lens.unproject(features.uv_px).direction
+    kept = np.flatnonzero(np.isfinite(rays).all(axis=1) & (rays[:, 2] > np.cos(np.radians(_WIDEST_DEG))))
+    return ideal_camera(lens).project(rays[kept]).uv_px, kept.astype(np.int64)
+
+
+def _write_database(
+    file: Path, images: MappedImages, partners: Sequence[Sequence[int]], advance: Callable[[int], None]
+) -> tuple[list[Int64], int]:
+    """Write features and verified matches; return the features of each image in the file, and the number of pairs."""
+    import pycolmap
+
+    database = pycolmap.Database.open(file)
+    cameras, rigs = [], []
+    for lens, size in zip(images.lenses, images.sizes_px):
+        camera = _to_pycolmap(lens, size)
+        camera.camera_id = database.write_camera(camera)
+        rig = pycolmap.Rig()
+        rig.add_ref_sensor(camera.sensor_id)
+        cameras.append(camera)
+        rigs.append(database.write_rig(rig))
+    places, kept, ids = [], [], []
+    for number, (features, own) in enumerate(zip(images.features, images.camera.tolist())):
+        uv, shown = _to_ideal(features, images.lenses[own])
+        image = pycolmap.Image(name=f"{number:08d}", camera_id=cameras[own].camera_id)
+        image.image_id = database.write_image(image)
+        frame = pycolmap.Frame()
+        frame.rig_id = rigs[own]
+        frame.add_data_id(image.data_id)
+        database.write_frame(frame)
+        database.write_keypoints(image.image_id, uv.astype(np.float32))
+        places.append(uv)
+        kept.append(shown)
+        ids.append(image.image_id)
+    options, pairs = pycolmap.TwoViewGeometryOptions(), 0
+    options.ransac.random_seed = 0
+    parts = [_part(features, own) for features, own in zip(images.features, kept)]
+    for one, others in enumerate(partners):
+        for other in others:
+            found = match_features(parts[one], parts[other]).astype(np.uint32)
+            if len(found) < _LEAST_MATCHES:
+                continue
+            first, second = cameras[images.camera[one]], cameras[images.camera[other]]
+            geometry = pycolmap.estimate_two_view_geometry(first, places[one], second, places[other], found, options)
+            if len(geometry.inlier_matches) >= _LEAST_MATCHES:
+                database.write_matches(ids[one], ids[other], found)
+                database.write_two_view_geometry(ids[one], ids[other], geometry)
+                pairs += 1
+        advance(1)
+    database.close()
+    return kept, pairs
 
 
 def _part(features: ImageFeatures, own: Int64) -> ImageFeatures:
     return ImageFeatures(features.uv_px[own], features.scale_px[own], features.descriptors[own])
 
 
-def _to_pycolmap(images: UsedImages, lens: Camera | None) -> Any:
+def _to_pycolmap(lens: Camera | None, size: tuple[int, int]) -> Any:
     import pycolmap
 
-    size = {"width": images.width_px, "height": images.height_px}
+    raster = {"width": size[0], "height": size[1]}
     if lens is None:
-        focal = _FOCAL_GUESS * max(images.width_px, images.height_px)
-        params = [focal, 0.5 * images.width_px, 0.5 * images.height_px, 0.0]
-        return pycolmap.Camera(model="SIMPLE_RADIAL", params=params, **size)
+        params = [_FOCAL_GUESS * max(size), 0.5 * size[0], 0.5 * size[1], 0.0]
+        return pycolmap.Camera(model="SIMPLE_RADIAL", params=params, **raster)
     ideal = ideal_camera(lens)
     params = [ideal.fx_px, ideal.fy_px, ideal.cx_px, ideal.cy_px]
-    return pycolmap.Camera(model="PINHOLE", params=params, has_prior_focal_length=True, **size)
+    return pycolmap.Camera(model="PINHOLE", params=params, has_prior_focal_length=True, **raster)
 
 
-def _read_map(
-    reconstruction: Any, images: UsedImages, lens: Camera | None, kept: list[Int64], taken: set[int]
-) -> ImageMap | None:
+def _read_map(reconstruction: Any, images: MappedImages, kept: list[Int64], taken: set[int]) -> ImageMap | None:
     """Return a map without the images that another map has; None: it has no others."""
     registered = {int(one.name): one for one in reconstruction.images.values() if one.has_pose}
     used = [number for number in sorted(registered) if number not in taken]
@@ -200,16 +228,18 @@ def _read_map(
     place = {number: row for row, number in enumerate(ids)}
     observed = []
     for number in used:
-        seen = [
-            (place[two.point3D_id], row) for row, two in enumerate(registered[number].points2D) if two.has_point3D()
-        ]
+        shown = enumerate(registered[number].points2D)
+        seen = [(place[two.point3D_id], row) for row, two in shown if two.has_point3D()]
         pairs = np.array(seen, np.int64).reshape(-1, 2)
         observed.append((pairs[:, 0], kept[number][pairs[:, 1]]))
     points = np.array([reconstruction.points3D[one].xyz for one in ids]).reshape(-1, 3)
-    (camera,) = reconstruction.cameras.values()
-    shown_lens, residual = lens or _estimated(camera, images), float(reconstruction.compute_mean_reprojection_error())
-    poses = read_poses(reconstruction, used)
-    return ImageMap(np.array(used, np.int64), poses, points, observed, shown_lens, residual, reconstruction)
+    lenses: list[Camera | None] = list(images.lenses)
+    for number in used:
+        own = int(images.camera[number])
+        if images.lenses[own] is None:
+            lenses[own] = _estimated(registered[number].camera, images.sizes_px[own])
+    poses, residual = read_poses(reconstruction, used), float(reconstruction.compute_mean_reprojection_error())
+    return ImageMap(np.array(used, np.int64), poses, points, observed, lenses, residual, reconstruction)
 
 
 def read_poses(reconstruction: Any, used: list[int]) -> Poses:
@@ -220,6 +250,6 @@ def read_poses(reconstruction: Any, used: list[int]) -> Poses:
     return Poses(quaternion_from_matrix(turns), np.array([one.translation for one in back]))
 
 
-def _estimated(camera: Any, images: UsedImages) -> Camera:
+def _estimated(camera: Any, size: tuple[int, int]) -> Camera:
     focal, x, y, k1 = (float(value) for value in camera.params)
-    return Camera("brown_conrady", images.width_px, images.height_px, focal, focal, x, y, (k1, 0.0, 0.0, 0.0, 0.0))
+    return Camera("brown_conrady", *size, focal, focal, x, y, (k1, 0.0, 0.0, 0.0, 0.0))

@@ -14,7 +14,7 @@ from mirror.calibration.statistics import require_scipy
 from mirror.errors import UsageError
 from mirror.installation import install_command
 from mirror.localisation.structure.inputs import DriveInputs
-from mirror.localisation.structure.maps import ImageMap, map_images
+from mirror.localisation.structure.maps import ImageMap, MappedImages, map_images, sequence_partners
 from mirror.localisation.structure.options import StructureOptions
 from mirror.localisation.structure.placing import PartPlacer
 from mirror.localisation.structure.report import PartReport, PosesReport, describe_part
@@ -86,9 +86,10 @@ class _Registration:
                 remedy="give a smaller --motion-percent",
             )  # fmt: skip
         self.progress.start(f"{self.inputs.source.name}: map", len(images))
-        maps, report.matched = map_images(
-            images, self.inputs.camera.lens, options.neighbours, self._near_pairs(images), self.progress.advance
-        )
+        size = images.width_px, images.height_px
+        mapped = MappedImages(images.features, np.zeros(len(images), np.int64), [self.inputs.camera.lens], [size])
+        partners = sequence_partners(len(images), options.neighbours, self._near_pairs(images))
+        maps, report.matched = map_images(mapped, partners, self.progress.advance)
         parts = [part for one in maps for part in self._split(images, one)]
         parts.sort(key=lambda one: int(one.used[0]))
         large = [part for part in parts if len(part.used) >= options.least_images]

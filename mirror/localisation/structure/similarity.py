@@ -56,7 +56,9 @@ class TrackFit:
     distance_m: Float64
 
 
-def fit_track(places: Float64, up: Float64, fixes: Float64, sigma_m: Float64) -> TrackFit:
+def fit_track(
+    places: Float64, up: Float64, fixes: Float64, sigma_m: Float64, least_way_m: float = LEAST_WAY_M
+) -> TrackFit:
     """Fit a map to the fixes of a track; single wild fixes hardly count (Cauchy's loss).
 
     Positions on a straight way leave the roll about it open: the map's mean vertical closes it.
@@ -66,6 +68,7 @@ def fit_track(places: Float64, up: Float64, fixes: Float64, sigma_m: Float64) ->
         up: (3,) mean vertical of the vehicle in the map.
         fixes: (N, 3) positions, metres, z up; z is NaN where a fix has no height.
         sigma_m: (N,) 1-sigma of the fixes; heights have twice of it.
+        least_way_m: smallest extent of the fixes.
 
     Raises:
         UsageError: the fixes are too few, or the way between them is too short, to give a scale.
@@ -74,10 +77,10 @@ def fit_track(places: Float64, up: Float64, fixes: Float64, sigma_m: Float64) ->
 
     way = float(np.linalg.norm(np.diff(fixes[:, :2], axis=0), axis=1).sum()) if len(fixes) else 0.0
     extent = float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0))) if len(fixes) else 0.0
-    if len(fixes) < LEAST_FIXES or extent < LEAST_WAY_M:
+    if len(fixes) < LEAST_FIXES or extent < least_way_m:
         raise UsageError(
             f"{len(fixes)} fixes over {way:.0f} m during the registered images", place="--scale track",
-            expected=f"at least {LEAST_FIXES} fixes that are {LEAST_WAY_M:.0f} m apart",
+            expected=f"at least {LEAST_FIXES} fixes that are {least_way_m:.0f} m apart",
             remedy="take the scale from elsewhere: --scale height --camera-height-m METRES, or --length-m METRES",
         )  # fmt: skip
     level = rotation_between(up, np.array([0.0, 0.0, 1.0]))

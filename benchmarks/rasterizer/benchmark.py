@@ -26,6 +26,7 @@ from benchmarks.rasterizer import opensplat, scenes
 from benchmarks.rasterizer.errors import compute_gradient_errors, compute_image_errors, truth
 from benchmarks.rasterizer.processes import measure_peak_bytes, measure_starts
 from benchmarks.rasterizer.projection import projection_rows
+from benchmarks.rasterizer.rolling import rolling_rows
 from benchmarks.rasterizer.scenes import Splats
 from benchmarks.rasterizer.views import View, both_ms, count_name, forward_ms, with_threads
 from benchmarks.report import Peer, Row, report
@@ -138,6 +139,12 @@ def projection_group(quick: bool, repeats: int) -> Iterator[Row]:
     """Yield the times of projection alone, with gsplat's torch projection as peer."""
     for name in ("random", "street"):
         yield from projection_rows(View(_scene(name, 100_000 if quick else 300_000), 960, 540), repeats)
+
+
+def rolling_group(quick: bool, repeats: int) -> Iterator[Row]:
+    """Yield the times with a rolling shutter, in pairs with the paths without one."""
+    for name in ("random", "street"):
+        yield from rolling_rows(View(_scene(name, 100_000 if quick else 300_000), 960, 540), repeats)
 
 
 def garden_rows(quick: bool, repeats: int) -> Iterator[Row]:
@@ -254,6 +261,7 @@ GROUPS: Final[dict[str, Callable[[bool, int], Iterator[Row]]]] = {
     "errors": error_rows,
     "gradients": gradient_rows,
     "projection": projection_group,
+    "rolling": rolling_group,
     "garden": garden_rows,
     "process": process_rows,
 }

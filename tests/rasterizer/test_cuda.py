@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from enum import IntEnum
 from types import SimpleNamespace
 
 import pytest
 import torch
 
-from hybridworldsim.rasterizer import cuda, rasterization
+from hybridworldsim.rasterizer import RollingShutterType, cuda, rasterization
 from hybridworldsim.rasterizer.presets import PRESETS
 from hybridworldsim.rasterizer.rasterization import choose_backend
 from mirror.errors import UsageError
@@ -55,6 +56,21 @@ def test_lenses_reach_gsplat(gsplat):
     lens = {"radial_coeffs": torch.zeros(1, 4), "with_ut": True, "camera_model": "fisheye", "packed": False}
     _, _, received = rasterization(**scene(), **lens, backend="cuda")
     assert all(received[name] is value for name, value in lens.items())
+
+
+def test_rolling_shutters_reach_gsplat_as_its_own_type(gsplat, monkeypatch):
+    own = IntEnum("RollingShutterType", {"ROLLING_LEFT_TO_RIGHT": 1, "GLOBAL": 4})
+    monkeypatch.setitem(sys.modules, "gsplat.cuda", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "gsplat.cuda._wrapper", SimpleNamespace(RollingShutterType=own))
+    ends = torch.eye(4)[None]
+    rolling = {"with_ut": True, "packed": False, "viewmats_rs": ends}
+    _, _, received = rasterization(
+        **scene(), **rolling, rolling_shutter=RollingShutterType.ROLLING_LEFT_TO_RIGHT, backend="cuda"
+    )
+    assert received["rolling_shutter"] is own.ROLLING_LEFT_TO_RIGHT
+    assert received["viewmats_rs"] is ends
+    with pytest.raises(UsageError, match="does not antialias"):
+        rasterization(**scene(), with_ut=True, packed=False, rasterize_mode="antialiased", backend="cuda")
 
 
 @pytest.mark.parametrize(

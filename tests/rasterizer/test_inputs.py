@@ -169,7 +169,6 @@ def test_unknown_words_are_answered_with_the_known_ones(name, match):
 
 class _Shutter(enum.Enum):
     GLOBAL = 4
-    ROLLING_LEFT_TO_RIGHT = 1
 
 
 @pytest.mark.parametrize(
@@ -180,8 +179,6 @@ class _Shutter(enum.Enum):
         ("covars", torch.eye(3).repeat(7, 1, 1)),
         ("with_eval3d", True),
         ("ftheta_coeffs", object()),
-        ("rolling_shutter", _Shutter.ROLLING_LEFT_TO_RIGHT),
-        ("viewmats_rs", torch.eye(4).repeat(2, 1, 1)),
     ],
 )
 def test_what_gsplat_has_and_we_have_not_is_never_ignored(name, value):
@@ -223,10 +220,9 @@ def test_broken_colours_are_counted_among_the_visible_ones():
     _refused("colors", r"\d of \d visible rows hold NaN", colors=colors)
 
 
-def test_lenses_need_the_unscented_transform_and_classic_mode():
+def test_lenses_need_the_unscented_transform():
     _refused("radial_coeffs", "with_ut", radial_coeffs=torch.zeros(2, 6))
     _refused("camera_model", "with_ut", camera_model="fisheye")
-    _refused("rasterize_mode", "classic", with_ut=True, rasterize_mode="antialiased")
     _refused("radial_coeffs", "6 finite numbers", with_ut=True, radial_coeffs=torch.zeros(2, 5))
     _refused("radial_coeffs", r"\(2, coefficients\)", with_ut=True, radial_coeffs=torch.zeros(1, 6))
     _refused("tangential_coeffs", "fisheye", with_ut=True, camera_model="fisheye", tangential_coeffs=torch.ones(2, 2))

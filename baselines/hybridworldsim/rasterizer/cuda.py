@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from hybridworldsim.rasterizer.inputs import NonFinite, refuse_nonfinite
 from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, PRESETS, GsplatPreset
+from hybridworldsim.rasterizer.rolling_shutter import to_shutter_type
 from mirror.errors import UsageError
 from mirror.installation import install_command
 
@@ -52,6 +54,15 @@ def rasterization(
     elif arguments["colors"] is None:
         # gsplat needs colours even if only depth is rendered
         arguments["colors"] = arguments["opacities"].detach()[..., None]
+    if arguments["with_ut"] and arguments["rasterize_mode"] == "antialiased":
+        raise UsageError(
+            "gsplat's unscented transform does not antialias", place="rasterize_mode", expected="'classic'"
+        )
+    if arguments["viewmats_rs"] is not None:
+        types = import_module("gsplat.cuda._wrapper").RollingShutterType
+        arguments["rolling_shutter"] = types[to_shutter_type(arguments["rolling_shutter"]).name]
+    else:
+        arguments["rolling_shutter"] = None
     # releases before 1.5 lack some arguments, which are passed only if they differ from their defaults
     given = {name: value for name, value in arguments.items() if value is not None and value != _DEFAULTS.get(name)}
     return gsplat.rasterization(**given)

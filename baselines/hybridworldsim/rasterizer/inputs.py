@@ -123,16 +123,16 @@ def check_inputs(
         name: tensor for name, tensor in (("colors", colors), ("backgrounds", backgrounds)) if tensor is not None
     }
     for name, tensor in tensors.items():
-        _check_tensor(name, tensor, means)
+        check_tensor(name, tensor, means)
     if means.ndim < 2:
-        raise _shape_error("means", means, "(..., N, 3)")
+        raise shape_error("means", means, "(..., N, 3)")
     *batch, count, _ = means.shape
     refuse_too_many(count)
     if viewmats.ndim < 3:
-        raise _shape_error("viewmats", viewmats, "(..., C, 4, 4)")
+        raise shape_error("viewmats", viewmats, "(..., C, 4, 4)")
     cameras = viewmats.shape[-3]
     if viewmats.shape[:-2].numel() == 0:
-        raise _shape_error("viewmats", viewmats, "at least one camera")
+        raise shape_error("viewmats", viewmats, "at least one camera")
     for name, shape in {
         "means": (count, 3),
         "quats": (count, 4),
@@ -142,7 +142,7 @@ def check_inputs(
         "Ks": (cameras, 3, 3),
     }.items():
         if tensors[name].shape != (*batch, *shape):
-            raise _shape_error(name, tensors[name], str((*batch, *shape)))
+            raise shape_error(name, tensors[name], str((*batch, *shape)))
     scenes = means.shape[:-2].numel()
     if colors is not None:
         _check_colors(colors, batch, cameras, count, sh_degree)
@@ -153,7 +153,7 @@ def check_inputs(
     if backgrounds is not None:
         channels = 3 if sh_degree is not None or colors is None else colors.shape[-1]
         if "RGB" in render_mode and backgrounds.shape != (*batch, cameras, channels):
-            raise _shape_error("backgrounds", backgrounds, str((*batch, cameras, channels)))
+            raise shape_error("backgrounds", backgrounds, str((*batch, cameras, channels)))
         backgrounds = backgrounds.reshape(scenes, cameras, backgrounds.shape[-1])
     inputs = Inputs(
         batch=tuple(batch),
@@ -193,7 +193,6 @@ def make_lenses(
     inputs: Inputs,
     camera_model: CameraModel,
     with_ut: bool,
-    antialiased: bool,
     coefficients: dict[str, Tensor | None],
 ) -> Sequence[LensDistortion | None]:
     """Make the lens of each image; None for a pinhole, which EWA splatting projects.
@@ -202,7 +201,6 @@ def make_lenses(
         inputs: the checked inputs.
         camera_model: camera model of all cameras.
         with_ut: whether to use the unscented transform; distortion and fisheyes need it.
-        antialiased: whether to compensate opacities; the unscented transform does not support it.
         coefficients: (..., C, number) each, by gsplat's names.
 
     Raises:
@@ -217,14 +215,12 @@ def make_lenses(
                 f"a {camera_model} without the unscented transform", place="camera_model", remedy="with_ut=True"
             )
         return [None] * len(inputs.means) * inputs.cameras
-    if antialiased:
-        raise UsageError("antialiasing with the unscented transform", place="rasterize_mode", expected="'classic'")
     leading = (*inputs.batch, inputs.cameras)
     tables: dict[str, list[list[float]]] = {}
     for name, tensor in given.items():
-        _check_tensor(name, tensor, inputs.means[0])
+        check_tensor(name, tensor, inputs.means[0])
         if tensor.shape[:-1] != leading:
-            raise _shape_error(name, tensor, f"({', '.join(map(str, leading))}, coefficients)")
+            raise shape_error(name, tensor, f"({', '.join(map(str, leading))}, coefficients)")
         tables[name] = tensor.detach().reshape(-1, tensor.shape[-1]).tolist()
     return [
         LensDistortion(model=camera_model, **{name: tuple(table[image]) for name, table in tables.items()})
@@ -302,15 +298,15 @@ def _check_colors(colors: Tensor, batch: list[int], cameras: int, count: int, sh
     if leading not in (per_gaussian, per_camera):
         tail = "D" if sh_degree is None else "K, 3"
         expected = " or ".join(f"({', '.join(map(str, shape))}, {tail})" for shape in (per_gaussian, per_camera))
-        raise _shape_error("colors", colors, expected)
+        raise shape_error("colors", colors, expected)
     if sh_degree is not None:
         needed = (sh_degree + 1) ** 2
         if not 0 <= sh_degree <= 4:
             raise UsageError(f"no spherical harmonics of degree {sh_degree}", place="sh_degree", expected="0 to 4")
         if colors.shape[-1] != 3 or colors.shape[-2] < needed:
-            raise _shape_error("colors", colors, f"(..., K, 3) with K of at least {needed} for degree {sh_degree}")
+            raise shape_error("colors", colors, f"(..., K, 3) with K of at least {needed} for degree {sh_degree}")
     elif colors.shape[-1] == 0:
-        raise _shape_error("colors", colors, "at least one channel")
+        raise shape_error("colors", colors, "at least one channel")
 
 
 def _split_tables(tensor: Tensor, dimensions: int) -> tuple[Tensor, ...]:
@@ -319,7 +315,7 @@ def _split_tables(tensor: Tensor, dimensions: int) -> tuple[Tensor, ...]:
     return (tensor.reshape(table),) if count == 1 else tensor.reshape(count, *table).unbind()
 
 
-def _check_tensor(name: str, tensor: Tensor, means: Tensor) -> None:
+def check_tensor(name: str, tensor: Tensor, means: Tensor) -> None:
     """Check type, dtype and device of a tensor."""
     if not isinstance(tensor, Tensor):
         raise UsageError(f"a {type(tensor).__name__}", place=name, expected="a torch tensor")
@@ -329,7 +325,8 @@ def _check_tensor(name: str, tensor: Tensor, means: Tensor) -> None:
         raise UsageError(f"on {tensor.device}", place=name, expected=f"on {means.device}, where the means are")
 
 
-def _shape_error(name: str, tensor: Tensor, expected: str) -> UsageError:
+def shape_error(name: str, tensor: Tensor, expected: str) -> UsageError:
+    """Make the error for a tensor of a wrong shape."""
     return UsageError(f"shape {tuple(tensor.shape)}", place=name, expected=expected)
 
 

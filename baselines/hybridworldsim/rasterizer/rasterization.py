@@ -22,6 +22,7 @@ from hybridworldsim.rasterizer.inputs import (
 from hybridworldsim.rasterizer.limits import require_positive
 from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, get_preset
 from hybridworldsim.rasterizer.rendering import RenderOptions, render
+from hybridworldsim.rasterizer.rolling_shutter import make_shutters
 from mirror.errors import UsageError
 
 BackendName = Literal["auto", "cuda", "cpu", "reference"]
@@ -102,14 +103,15 @@ def rasterization(
         camera_model: "pinhole" or, with `with_ut`, "fisheye".
         segmented: choice of the sort in gsplat's CUDA code. The CPU has one sort.
         covars: refused: give `quats` and `scales`.
-        with_ut: project by the unscented transform, which `fisheye` and all distortions need; "classic" only.
+        with_ut: project by the unscented transform, which `fisheye`, all distortions and rolling shutters need.
         with_eval3d: refused.
         radial_coeffs: (..., C, 6), k1 to k6 of OpenCV's rational model; of a fisheye (..., C, 4).
         tangential_coeffs: (..., C, 2).
         thin_prism_coeffs: (..., C, 4).
         ftheta_coeffs: refused.
-        rolling_shutter: refused, except None and gsplat's GLOBAL.
-        viewmats_rs: refused.
+        rolling_shutter: a `RollingShutterType`, gsplat's, or its name; None is "GLOBAL". With another one, `viewmats`
+            are the poses at the first row (or column), and the time of a Gaussian's points is that of their rows.
+        viewmats_rs: (..., C, 4, 4) camera from world at the last row; only with a rolling shutter.
         preset: generation of gsplat whose rules and constants apply, see `presets`. On CUDA a preset is refused if the
             installed release does not follow it.
         backend: "cuda": gsplat; "cpu": compiled kernels; "reference": plain torch in float64, for small scenes; "auto":
@@ -133,8 +135,6 @@ def rasterization(
         covars=(covars is not None, "quats and scales"),
         with_eval3d=(with_eval3d, "with_ut=True, which evaluates Gaussians in the image"),
         ftheta_coeffs=(ftheta_coeffs is not None, "a fisheye or pinhole camera with radial_coeffs"),
-        rolling_shutter=(getattr(rolling_shutter, "name", rolling_shutter) not in (None, "GLOBAL"), "a global shutter"),
-        viewmats_rs=(viewmats_rs is not None, "a global shutter"),
     )
     require_choice("render_mode", render_mode, get_args(RenderMode))
     require_choice("rasterize_mode", rasterize_mode, get_args(RasterizeMode))
@@ -171,7 +171,8 @@ def rasterization(
         "thin_prism_coeffs": thin_prism_coeffs,
     }
     antialiased = rasterize_mode == "antialiased"
-    lenses = make_lenses(inputs, camera_model, with_ut, antialiased, coefficients)
+    lenses = make_lenses(inputs, camera_model, with_ut, coefficients)
+    shutters = make_shutters(inputs, rolling_shutter, viewmats_rs, with_ut)
     options = RenderOptions(
         near_plane=float(near_plane),
         far_plane=float(far_plane),
@@ -185,7 +186,7 @@ def rasterization(
         backend=chosen,
     )
     if options.backend != "cuda":
-        return render(inputs, options, lenses, packed)
+        return render(inputs, options, lenses, shutters, packed)
     return cuda.rasterization(
         options.preset,
         nonfinite,
@@ -213,6 +214,8 @@ def rasterization(
         camera_model=camera_model,
         segmented=segmented,
         with_ut=with_ut,
+        rolling_shutter=rolling_shutter,
+        viewmats_rs=viewmats_rs,
         **coefficients,
     )
 

@@ -16,6 +16,7 @@ from hybridworldsim.rasterizer.lenses import LensDistortion
 from hybridworldsim.rasterizer.meta import BlendedView, Blending, GaussianLayout, make_meta
 from hybridworldsim.rasterizer.presets import GsplatPreset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
+from hybridworldsim.rasterizer.rolling_shutter import RollingShutter
 from hybridworldsim.rasterizer.rows import copy_rows, take_rows, take_rows_with_column
 
 _DEPTH_DIVISOR_MIN = 1e-10
@@ -60,7 +61,11 @@ def import_backend(name: str) -> Backend:
 
 
 def render(
-    inputs: Inputs, options: RenderOptions, lenses: Sequence[LensDistortion | None], packed: bool
+    inputs: Inputs,
+    options: RenderOptions,
+    lenses: Sequence[LensDistortion | None],
+    shutters: Sequence[RollingShutter | None],
+    packed: bool,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Render each scene through each of its cameras.
 
@@ -68,6 +73,7 @@ def render(
         inputs: B scenes with C cameras each.
         options: the options.
         lenses: B * C lenses, scene by scene.
+        shutters: B * C shutters, likewise.
         packed: whether tensors in `meta` are packed.
 
     Returns:
@@ -76,8 +82,8 @@ def render(
     backend = import_backend(options.backend)
     scene_cameras = [(scene, camera) for scene in range(len(inputs.means)) for camera in range(inputs.cameras)]
     projected = [
-        _project(inputs, options, backend, *scene_camera, lens)
-        for scene_camera, lens in zip(scene_cameras, lenses, strict=True)
+        _project(inputs, options, backend, *scene_camera, lens, shutter)
+        for scene_camera, lens, shutter in zip(scene_cameras, lenses, shutters, strict=True)
     ]
     layout = GaussianLayout(inputs, projected, packed)
     means2d, parts = layout.link_means2d([projection.means2d for projection in projected], options.absgrad)
@@ -90,7 +96,7 @@ def render(
     blended = [
         backend.blend(
             view.projected,
-            _gather_features(inputs, options, backend, view),
+            _gather_features(inputs, options, backend, view, shutter),
             view.opacities,
             inputs.width,
             inputs.height,
@@ -98,7 +104,7 @@ def render(
             tile_size=options.tile_size,
             absgrad=options.absgrad,
         )
-        for view in views
+        for view, shutter in zip(views, shutters, strict=True)
     ]
     alphas = _stack([image.alpha for image in blended])[..., None]
     images = _composite(inputs, options.render_mode, _stack([image.image for image in blended]), alphas)
@@ -117,7 +123,13 @@ def render(
 
 
 def _project(
-    inputs: Inputs, options: RenderOptions, backend: Backend, scene: int, camera: int, lens: LensDistortion | None
+    inputs: Inputs,
+    options: RenderOptions,
+    backend: Backend,
+    scene: int,
+    camera: int,
+    lens: LensDistortion | None,
+    shutter: RollingShutter | None,
 ) -> ProjectedGaussians:
     """Project the Gaussians of a scene, without those that are culled because they are not finite."""
     tables = [inputs.means[scene], inputs.quats[scene], inputs.scales[scene], inputs.opacities[scene]]
@@ -137,6 +149,7 @@ def _project(
         preset=options.preset,
         antialiased=options.antialiased,
         lens=lens,
+        shutter=shutter,
     )
     culled = 0 if kept is None else inputs.gaussians - len(kept)
     ids = projected.ids if kept is None else kept[projected.ids]
@@ -149,7 +162,9 @@ def _compute_opacities(inputs: Inputs, scene: int, projection: ProjectedGaussian
     return opacities if projection.compensations is None else opacities * projection.compensations
 
 
-def _gather_features(inputs: Inputs, options: RenderOptions, backend: Backend, view: BlendedView) -> Tensor:
+def _gather_features(
+    inputs: Inputs, options: RenderOptions, backend: Backend, view: BlendedView, shutter: RollingShutter | None
+) -> Tensor:
     """Gather the channels (M, D) that are blended: colours, depth or both."""
     projection = view.projected
     table = inputs.get_colors(*view.scene_camera)
@@ -158,7 +173,7 @@ def _gather_features(inputs: Inputs, options: RenderOptions, backend: Backend, v
     ids, has_all = projection.ids, len(projection.ids) == len(table)
     if inputs.sh_degree is not None:
         table = backend.spherical_harmonics(
-            inputs.sh_degree, _compute_directions(inputs, view), table, None if has_all else ids
+            inputs.sh_degree, _compute_directions(inputs, view, shutter), table, None if has_all else ids
         )
         refuse_nonfinite("colors", table, "Gaussian", ids)
         table, ids = (table + 0.5).clamp_min(0.0), torch.arange(len(ids))
@@ -169,17 +184,25 @@ def _gather_features(inputs: Inputs, options: RenderOptions, backend: Backend, v
     return features.to(projection.means2d.dtype)
 
 
-def _compute_directions(inputs: Inputs, view: BlendedView) -> Tensor:
+def _compute_directions(inputs: Inputs, view: BlendedView, shutter: RollingShutter | None) -> Tensor:
     """Compute directions (M, 3) from the camera to each Gaussian; they are exact far from the origin.
 
-    The camera position is a sum of two numbers of the means' dtype.
+    The camera position is a sum of two numbers of the means' dtype. With a rolling shutter it is the middle of the two
+    end positions, as in gsplat.
     """
     scene, camera = view.scene_camera
-    pose = inputs.viewmats[scene, camera].double()
-    position = -torch.linalg.solve(pose[:3, :3], pose[:3, 3])
+    position = _compute_position(inputs.viewmats[scene, camera])
+    if shutter is not None:
+        position = 0.5 * (position + _compute_position(shutter.viewmat_end))
     means = take_rows(inputs.means[scene], view.projected.ids)
     rounded = position.to(means.dtype)
     return means - rounded - (position - rounded).to(means.dtype)
+
+
+def _compute_position(viewmat: Tensor) -> Tensor:
+    """Compute the position (3,) of a camera in float64."""
+    pose = viewmat.double()
+    return -torch.linalg.solve(pose[:3, :3], pose[:3, 3])
 
 
 def _composite(inputs: Inputs, mode: RenderMode, images: Tensor, alphas: Tensor) -> Tensor:

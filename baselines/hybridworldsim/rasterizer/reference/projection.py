@@ -17,7 +17,9 @@ from hybridworldsim.rasterizer.presets import (
     GsplatPreset,
 )
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
+from hybridworldsim.rasterizer.reference.rolling import to_rolling_view
 from hybridworldsim.rasterizer.reference.unscented import project_unscented
+from hybridworldsim.rasterizer.rolling_shutter import RollingShutter
 
 RADIUS_MAX = 2**30
 """Upper bound of half extents, pixels: they are int32."""
@@ -55,6 +57,7 @@ def project(
     preset: GsplatPreset,
     antialiased: bool,
     lens: LensDistortion | None,
+    shutter: RollingShutter | None = None,
 ) -> ProjectedGaussians:
     """Project Gaussians into one camera.
 
@@ -79,6 +82,8 @@ def project(
         preset: generation of gsplat.
         antialiased: whether opacities are reduced to compensate the blur.
         lens: None for a pinhole.
+        shutter: None for a global shutter; else `viewmat` is the pose at the first row, depths are those at
+            mid-readout, and there is a lens.
 
     Returns:
         The Gaussians that reach the image, in float64; differentiable to means, quats, scales, viewmat and K.
@@ -88,7 +93,7 @@ def project(
 
     def splats(rows: Tensor) -> _Splats:
         shape = (means[rows].double(), quats[rows].double(), scales[rows].double())
-        return _compute_splats(*shape, viewmat, K, width, height, eps2d, preset, lens)
+        return _compute_splats(*shape, viewmat, K, width, height, eps2d, preset, lens, shutter)
 
     with torch.no_grad():
         candidates = splats(torch.arange(len(means)))
@@ -144,15 +149,23 @@ def _compute_splats(
     eps2d: float,
     preset: GsplatPreset,
     lens: LensDistortion | None,
+    shutter: RollingShutter | None,
 ) -> _Splats:
     rotation = viewmat[:3, :3]
-    means_c = means @ rotation.T + viewmat[:3, 3]  # (N, 3)
+    turned = means @ rotation.T
+    rolling = None if shutter is None else to_rolling_view(viewmat, shutter)
+    if rolling is None:
+        means_c = turned + viewmat[:3, 3]  # (N, 3)
+    else:
+        means_c = rolling.to_camera(turned, torch.full((len(means),), 0.5, dtype=torch.float64))
     axes_c = rotation @ _to_matrices(quats) * scales[:, None, :]  # (N, 3, 3): one standard deviation a column
     if lens is None:
         means2d, roots = _project_pinhole(means_c, axes_c, K, width, height)
         in_view = torch.ones(len(means), dtype=torch.bool)
     else:
-        means2d, roots, in_view = project_unscented(means_c, axes_c, K, width, height, lens)
+        means2d, roots, in_view = project_unscented(
+            means_c if rolling is None else turned, axes_c, K, width, height, lens, rolling
+        )
 
     # The covariance is roots @ roots.T. Its determinant is the sum of the squared minors of `roots` (Cauchy-Binet). The
     # sum is exact for a needle, where xx yy - xy^2 cancels.

@@ -6,10 +6,17 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.lenses import IMAGE_MARGIN, RADIAL_MIN, UT_ALPHA, UT_BETA, UT_SPREAD, LensDistortion
+from hybridworldsim.rasterizer.reference.rolling import RollingView, project_rolling
 
 
 def project_unscented(
-    means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, height: int, lens: LensDistortion
+    means_c: Tensor,
+    axes_c: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    lens: LensDistortion,
+    rolling: RollingView | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Project by the unscented transform (Wan and van der Merwe 2000), with gsplat's parameters.
 
@@ -17,12 +24,13 @@ def project_unscented(
     behind the camera, or outside the domain of the lens, lies at pixel (0, 0), as in gsplat.
 
     Args:
-        means_c: (N, 3) metres, camera.
+        means_c: (N, 3) metres, camera; with a rolling shutter, in the first camera's axes without its translation.
         axes_c: (N, 3, 3) axes as columns, with the length of one standard deviation, metres, camera.
         K: (3, 3) fx, fy, cx, cy in pixels.
         width: width of the image, pixels.
         height: height of the image, pixels.
         lens: the distortion.
+        rolling: motion of the camera; None for a global shutter.
 
     Returns:
         Means (N, 2) in pixels; roots (N, 2, 7) of the covariances, which are roots @ roots.T, pixel^2; and whether (N,)
@@ -30,7 +38,12 @@ def project_unscented(
     """
     steps = UT_SPREAD * axes_c.mT  # (N, 3, 3): one axis per row
     points = torch.cat([means_c[:, None], means_c[:, None] + steps, means_c[:, None] - steps], dim=1)  # (N, 7, 3)
-    pixels, valid = PROJECTIONS[lens.model](points, K, width, height, lens)  # (N, 7, 2), (N, 7)
+
+    def projection(points_c: Tensor) -> tuple[Tensor, Tensor]:
+        return PROJECTIONS[lens.model](points_c, K, width, height, lens)
+
+    # (N, 7, 2), (N, 7)
+    pixels, valid = projection(points) if rolling is None else project_rolling(points, rolling, projection)
 
     # The textbook's sums have weights of about -99 and +17 that cancel. About the image of the mean, with w the weight
     # of the other six, they are  mean = centre + m,  m = w sum d,  covariance = w sum d d' + (beta - alpha^2) m m'.

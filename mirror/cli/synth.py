@@ -65,6 +65,9 @@ class Arguments:
     """default: recorded poses and calibrations have errors, as in a fleet. none: they are exact."""
     without: Annotated[str, help_text(default="none", metavar="EFFECT,...")] = ""
     """Effects to leave out of the images, such as noise,motion_blur; docs/synth.md lists them."""
+    rolling_shutter: Annotated[str, help_text(default="global shutters", metavar="[CAMERA=]DIRECTION:MS,...")] = ""
+    """Rolling shutters: top_to_bottom:30 for all cameras, or front_wide=top_to_bottom:30,rear=left_to_right:12.
+    Each row or column is rendered where the vehicle and the traffic are at its own time."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Number of threads."""
     json: bool = False
@@ -76,7 +79,7 @@ def main(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Arguments, argv, "mirror synth", examples=_EXAMPLES)
 
     from mirror.progress import progress_bar
-    from mirror.synth import SECRET, Effects, Errors, parse_truth_kinds, write_recordings
+    from mirror.synth import SECRET, Effects, Errors, parse_readouts, parse_truth_kinds, write_recordings
 
     with progress_bar(quiet=arguments.json) as bar:
         written = write_recordings(
@@ -88,6 +91,7 @@ def main(argv: Sequence[str]) -> int:
             traversals=arguments.traversals,
             errors=Errors.none() if arguments.errors == "none" else None,
             effects=Effects.without(arguments.without.split(",")) if arguments.without else None,
+            readouts=parse_readouts(arguments.rolling_shutter),
             truth=parse_truth_kinds(arguments.truth),
             workers=arguments.workers,
             progress=bar,

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from mirror.synth.render.scene import Scene as Scene
     from mirror.synth.render.view import RasterizedView as RasterizedView
     from mirror.synth.render.view import rasterize_view as rasterize_view
+    from mirror.synth.rigs.readouts import parse_readouts as parse_readouts
     from mirror.synth.road_users.body import Body as Body
     from mirror.synth.road_users.body import RoadUser as RoadUser
     from mirror.synth.roads.markings import MARK as MARK
@@ -73,6 +74,7 @@ __all__ = [
     "make_drives",
     "make_lens",
     "parse_public_seed",
+    "parse_readouts",
     "parse_truth_kinds",
     "rasterize_view",
     "read_recorded_seed",
@@ -112,6 +114,7 @@ __getattr__, __dir__ = lazy_names(
         "make_drives": "mirror.synth.fleet.drives",
         "make_lens": "mirror.synth.render.lens",
         "parse_public_seed": "mirror.synth.seeds",
+        "parse_readouts": "mirror.synth.rigs.readouts",
         "parse_truth_kinds": "mirror.synth.writing.truth",
         "rasterize_view": "mirror.synth.render.view",
         "read_recorded_seed": "mirror.synth.writing.secret",

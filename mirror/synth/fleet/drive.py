@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mirror.synth.driving.journey import Journey
     from mirror.synth.render.develop import CameraResponse
     from mirror.synth.render.lens import Lens
-    from mirror.synth.render.scene import Instant, RenderedImage, Scene
+    from mirror.synth.render.scene import Instant, RenderedImage, RollingImage, Scene
     from mirror.synth.road_users.body import RoadUser
     from mirror.synth.street.world import World
 
@@ -210,8 +210,8 @@ class SynthDrive:
 
     def render(
         self, camera: str, timestamp_ns: int, instant: Instant | None = None, *, noise_seed: int | None = None
-    ) -> RenderedImage:
-        """Render the image of a camera.
+    ) -> RenderedImage | RollingImage:
+        """Render the image of a camera, through its shutter.
 
         Args:
             camera: name of the camera.
@@ -227,15 +227,34 @@ class SynthDrive:
         turn, velocity = ((poses[:1].inverse() @ poses[2:]).log()[0] / (2.0 * _STEP_S)).reshape(2, 3)
         twist = Twist(tuple(velocity.tolist()), tuple(turn.tolist()), self.vehicle.kind.exposure_ns * 1e-9)
         noise = seed_sequence("noise", self.seed, place, timestamp_ns).generate_state(1, np.uint64)[0]
-        return self.stage.render(
-            self.at(timestamp_ns) if instant is None else instant,
-            self.lenses[camera],
-            poses[1:2],
-            response=self.camera_responses[camera],
-            seed=int(noise >> np.uint64(1)) if noise_seed is None else noise_seed,
-            drops=self.drops.get(camera),
-            twist=twist,
+        instant = self.at(timestamp_ns) if instant is None else instant
+        lens, shutter = self.lenses[camera], self.vehicle.shutter(camera)
+        development: dict[str, Any] = {
+            "response": self.camera_responses[camera],
+            "seed": int(noise >> np.uint64(1)) if noise_seed is None else noise_seed,
+            "drops": self.drops.get(camera),
+            "twist": twist,
+        }
+        if not shutter.is_rolling:
+            return self.stage.render(instant, lens, poses[1:2], **development)
+        offsets_ns = shutter.line_offsets_ns()
+        egos = self._egos_about(timestamp_ns, offsets_ns)
+        return self.stage.render_lines(
+            instant,
+            lens,
+            float(self.seconds(np.array([timestamp_ns]))[0]) + 1e-9 * offsets_ns,
+            egos,
+            egos @ self.vehicle.ego_SE3_camera[camera],
+            columns=shutter.reads_columns,
+            **development,
         )
+
+    def poses_about(self, camera: str, timestamp_ns: int, offsets_ns: Float64) -> Poses:
+        """Return the true poses of a camera at offsets (N,) from a Unix time, in the scene's frame."""
+        return self._egos_about(timestamp_ns, offsets_ns) @ self.vehicle.ego_SE3_camera[camera]
+
+    def _egos_about(self, timestamp_ns: int, offsets_ns: Float64) -> Poses:
+        return self.truth.poses(float(self.seconds(np.array([timestamp_ns]))[0]) + 1e-9 * offsets_ns)
 
 
 @lru_cache(_WORLDS_HELD)

@@ -20,6 +20,7 @@ LEVELS: Final = 4
 FANOUT: Final = 4
 """A tile of one level is FANOUT tiles of the next finer level wide; the finest tiles are TILE_PX wide."""
 _MARGIN_PX: Final = 1.0
+_NO_CELLS: Final = (np.zeros(7, np.int64), np.zeros(0, np.int32), 0.0)
 _MOST_TILES: Final = 600
 """Images with more tiles have no cells: at their scale few surfaces are small beside a tile."""
 _MOST_CELLS: Final = 64
@@ -66,9 +67,34 @@ def make_lens(camera: Camera) -> Lens:
         row, column = np.argwhere(~rays.valid)[0]
         raise UsageError(f"no ray at pixel ({column}, {row})", expected="a lens that fills its raster")
     height, width = rays.direction.shape[:2]
-    steps = [np.linalg.norm(np.diff(rays.direction, axis=axis), axis=2) for axis in (0, 1)]
+    middle = rays.direction[height // 2, max(width // 2 - 1, 0) : width // 2 + 1]
+    apart = float(arrays.arccos(min(arrays.matmul(middle[0], middle[-1]), 1.0))) or 1.0 / camera.fx_px
+    return _lens_of_rays(np.ascontiguousarray(rays.direction), apart, 1.0 / camera.fx_px, with_cells=True)
+
+
+def cut_line(lens: Lens, line: int, *, column: bool) -> tuple[Lens, int]:
+    """Cut one row or column out of a lens, with its neighbours, which give the width of its pixels.
+
+    Args:
+        lens: the lens.
+        line: index of the row or column.
+        column: whether it is a column.
+
+    Returns:
+        The lens of up to three lines, and the place of the line in it.
+    """
+    first, last = max(line - 1, 0), line + 2
+    rays = lens.rays[:, first:last] if column else lens.rays[first:last]
+    # a table of cells takes longer than it saves in one line
+    return _lens_of_rays(np.ascontiguousarray(rays), lens.pixel_rad, lens.pixel_rad, with_cells=False), line - first
+
+
+def _lens_of_rays(rays: Float64, pixel_rad: float, least_rad: float, *, with_cells: bool) -> Lens:
+    """Compute the cones of rays (H, W, 3); the margin of a single ray's tile is ``least_rad``."""
+    height, width = rays.shape[:2]
+    steps = [np.linalg.norm(np.diff(rays, axis=axis), axis=2) for axis in (0, 1)]
     # The focal length does not give the pixel's angle for every camera model.
-    widest = max(float(step.max(initial=0.0)) for step in steps) or 1.0 / camera.fx_px
+    widest = max(float(step.max(initial=0.0)) for step in steps) or least_rad
     cones, levels = [], np.zeros((LEVELS, 3), np.int64)
     start = 0
     for level in range(LEVELS):
@@ -76,12 +102,9 @@ def make_lens(camera: Camera) -> Lens:
         down, across = -(-height // side), -(-width // side)
         levels[level] = start, down, across
         start += down * across
-        cones.append(_cones(rays.direction, side, _MARGIN_PX * widest))
-    middle = rays.direction[height // 2, max(width // 2 - 1, 0) : width // 2 + 1]
-    apart = float(arrays.arccos(min(arrays.matmul(middle[0], middle[-1]), 1.0))) or 1.0 / camera.fx_px
-    finest = cones[0]
-    cells, cell_tiles, small = make_cells(finest)
-    return Lens(np.ascontiguousarray(rays.direction), np.concatenate(cones), levels, apart, cells, cell_tiles, small)
+        cones.append(_cones(rays, side, _MARGIN_PX * widest))
+    cells, cell_tiles, small = make_cells(cones[0]) if with_cells else _NO_CELLS
+    return Lens(rays, np.concatenate(cones), levels, pixel_rad, cells, cell_tiles, small)
 
 
 def make_cells(tiles: Float64) -> tuple[Int64, Int32, float]:
@@ -93,9 +116,8 @@ def make_cells(tiles: Float64) -> tuple[Int64, Int32, float]:
     Returns:
         The ``cells``, ``cell_tiles`` and ``small`` of a lens.
     """
-    none = np.zeros(7, np.int64), np.zeros(0, np.int32), 0.0
     if len(tiles) > _MOST_TILES or tiles[:, 3].min() < 0.5:
-        return none
+        return _NO_CELLS
     small = float(tiles[:, 4].min())
     side = min(int(2.0 / small) + 1, _MOST_CELLS)
     edges = np.linspace(-1.0, 1.0, side + 1)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.developing import develop
 from mirror.synth.render.develop.motion import compute_image_motion
 from mirror.synth.render.lens import Lens
+from mirror.synth.render.lines import LineInstant, LinesView, render_lines
 from mirror.synth.render.shadows import ShadowMap, render_shadow_map, sun_axes
 from mirror.synth.render.surroundings import (
     AMBIENT_OCCLUSION_CELL_M,
@@ -123,6 +124,19 @@ class RenderedImage:
     view: RasterizedView
 
 
+@dataclass(frozen=True, eq=False)
+class RollingImage:
+    """An image that was exposed line by line, with its ground truth.
+
+    Attributes:
+        bgr: (H, W, 3) pixels, blue first.
+        view: ground truth of the pixels, each at the time of its line.
+    """
+
+    bgr: UInt8
+    view: LinesView
+
+
 class Scene:
     """A world in one condition with its road users. Thread-safe after `prepare`.
 
@@ -203,10 +217,15 @@ class Scene:
         """Return the world ``time_s`` after the start, around the recording vehicle at a pose."""
         ego, turn = world_SE3_ego.translation[0], matrix_from_quaternion(world_SE3_ego.rotation)[0]
         moving, placements = self._moving(time_s, ego)
-        ego_model = self.ego_model.transform(turn, ego, NO_OBJECT)
-        ego_model.faces["label"], ego_model.rounds["label"] = Label.EGO, Label.EGO
+        ego_model = self._place_ego(turn, ego)
         beam = np.concatenate([ego + arrays.matmul(turn, _HEADLIGHTS_M), arrays.matmul(turn, _AHEAD)])
         return self._instant(time_s, merge_models([moving, ego_model]), moving, placements, ego, beam)
+
+    def _place_ego(self, turn: Float64, ego: Float64) -> Model:
+        """Place the model of the recording vehicle in the world."""
+        model = self.ego_model.transform(turn, ego, NO_OBJECT)
+        model.faces["label"], model.rounds["label"] = Label.EGO, Label.EGO
+        return model
 
     def around(self, time_s: float, place_m: Float64) -> Instant:
         """Return the world ``time_s`` after the start, around a position (3,), without a recording vehicle."""
@@ -222,15 +241,17 @@ class Scene:
             place = user.motion.at(time_s)
             if scalars.hypot(place.x_m - middle[0], place.y_m - middle[1]) < _RENDER_RANGE_M:
                 placements[number] = place
+        moving = {key: place for key, place in placements.items() if not _is_static(self.road_users[key])}
+        return self._place(moving), placements
+
+    def _place(self, placements: Mapping[int, Placement]) -> Model:
+        """Place the models of moving road users in the world."""
         models = []
         for number, place in placements.items():
-            if not _is_static(self.road_users[number]):
-                model = (
-                    self.road_users[number].body.model_at(place).transform(place.rotation, place.translation, number)
-                )
-                model.faces["lights"] = 1
-                models.append(model)
-        return merge_models(models), placements
+            model = self.road_users[number].body.model_at(place).transform(place.rotation, place.translation, number)
+            model.faces["lights"] = 1
+            models.append(model)
+        return merge_models(models)
 
     @staticmethod
     def _stand_model(number: int, user: RoadUser) -> Model:
@@ -259,13 +280,66 @@ class Scene:
             drops: rain drops on the lens, from `lens_drops`.
             twist: motion of the camera; None: it does not move.
         """
-        surroundings, effects = instant.surroundings, self.condition.effects
+        surroundings = instant.surroundings
         rotation, origin = matrix_from_quaternion(world_SE3_camera.rotation)[0], world_SE3_camera.translation[0]
         view = rasterize_view(surroundings, lens, rotation, origin)
         radiance = view.radiance()
         if self.light.record["wet"] > 0.0:
             radiance = add_reflections(radiance, surroundings, lens, rotation, origin)
-        motion = None
+        return RenderedImage(self._develop(radiance, view, lens, response, seed, drops, twist), view)
+
+    def render_lines(
+        self,
+        instant: Instant,
+        lens: Lens,
+        times_s: Float64,
+        world_SE3_ego: Poses,
+        world_SE3_camera: Poses,
+        *,
+        columns: bool,
+        response: CameraResponse = _PLAIN,
+        seed: int = 0,
+        drops: Records | None = None,
+        twist: Twist | None = None,
+    ) -> RollingImage:
+        """Render one image of a rolling shutter: road users, vehicle and camera are where they are at each line's time.
+
+        Light is that of the instant: the sun, clouds, signals, headlights and the shadows of moving road users.
+
+        Args:
+            instant: the world at mid-exposure.
+            lens: rays of the camera.
+            times_s: (L,) time of each row, or of each column.
+            world_SE3_ego: L poses of the recording vehicle.
+            world_SE3_camera: L poses of the camera.
+            columns: whether lines are columns.
+            response: the camera's response to light.
+            seed: seed of the noise.
+            drops: rain drops on the lens.
+            twist: motion of the camera at mid-exposure; None: images are not blurred.
+        """
+        rotations = matrix_from_quaternion(world_SE3_camera.rotation)
+
+        def line_at(number: int) -> LineInstant:
+            surroundings = self._move(instant, float(times_s[number]), world_SE3_ego[number : number + 1])
+            return LineInstant(surroundings, rotations[number], world_SE3_camera.translation[number])
+
+        wet = bool(self.light.record["wet"] > 0.0)
+        radiance, view = render_lines(lens, len(times_s), line_at, columns=columns, wet=wet)
+        return RollingImage(self._develop(radiance, view, lens, response, seed, drops, twist), view)
+
+    def _develop(
+        self,
+        radiance: Float32,
+        view: RasterizedView | LinesView,
+        lens: Lens,
+        response: CameraResponse,
+        seed: int,
+        drops: Records | None,
+        twist: Twist | None,
+    ) -> UInt8:
+        """Develop radiance (H, W, 4) to pixels."""
+        effects, motion = self.condition.effects, None
         if twist is not None and effects.motion_blur:
             motion = compute_image_motion(
                 lens.jacobian, view.distance_m, twist.velocity_mps, twist.turn_radps, twist.exposure_s
@@ -273,21 +347,25 @@ class Scene:
             # The recording vehicle moves with its cameras, so it is not blurred.
             motion[view.label == Label.EGO] = 0.0
         light = np.ascontiguousarray(radiance[..., :3])
-        return RenderedImage(
-            develop(light, self.light.record, response, effects, seed, motion=motion, drops=drops), view
+        return develop(light, self.light.record, response, effects, seed, motion=motion, drops=drops)
+
+    def _move(self, instant: Instant, time_s: float, world_SE3_ego: Poses) -> Surroundings:
+        """Return an instant's surroundings with road users and the recording vehicle where they are at a time."""
+        ego, turn = world_SE3_ego.translation[0], matrix_from_quaternion(world_SE3_ego.rotation)[0]
+        moving = self._place(
+            {
+                number: self.road_users[number].motion.at(time_s)
+                for number in instant.placements
+                if not _is_static(self.road_users[number])
+            }
         )
+        there = merge_models([moving, self._place_ego(turn, ego)])
+        return instant.surroundings._replace(**self._join(there, time_s))
 
     def _instant(
         self, time_s: float, there: Model, moving: Model, placements: dict[int, Placement], ego: Float64, beam: Float64
     ) -> Instant:
         static, record = self._static, self.light.at(time_s)
-        model = merge_models([static.model, there])
-        faces = model.faces
-        faces["lights"][self.world.find_lit_lamps(self.clock_s + time_s)] = 1
-        # Ellipsoids come after all faces, so the spheres of both models are interleaved.
-        spheres = bounding_spheres(there.faces.view(flat(FACE)), there.corners, there.rounds.view(flat(ROUND)))
-        split, first = len(static.model.faces), len(there.faces)
-        spheres = np.concatenate([static.spheres[:split], spheres[:first], static.spheres[split:], spheres[first:]])
         maps = static.maps.copy()
         shadow = ShadowMap.none()
         if record["shadows"] and record["sunlight"].any():
@@ -302,13 +380,29 @@ class Scene:
              if record["headlight"] > 0.0 and not _is_static(self.road_users[number])],
             ego,
         )  # fmt: skip
+        joined = self._join(there, time_s)
         surroundings = Surroundings(
-            faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)), spheres,
+            joined["faces"], joined["corners"], joined["rounds"], joined["spheres"],
             static.shadow.height, shadow.height, static.lamps, glow, occlusion, static.ground,
             self.light.dome, self.light.clouds, static.layouts.view(flat(MARK)),
             record.reshape(1).view(flat(LIGHTING))[0], maps.view(flat(MAPS))[0],
         )  # fmt: skip
         return Instant(surroundings, placements)
+
+    def _join(self, there: Model, time_s: float) -> dict[str, Any]:
+        """Join what moves to the static model: faces, corners, rounds and spheres of `Surroundings`."""
+        static = self._static
+        model = merge_models([static.model, there])
+        faces = model.faces
+        faces["lights"][self.world.find_lit_lamps(self.clock_s + time_s)] = 1
+        # Ellipsoids come after all faces, so the spheres of both models are interleaved.
+        spheres = bounding_spheres(there.faces.view(flat(FACE)), there.corners, there.rounds.view(flat(ROUND)))
+        split, first = len(static.model.faces), len(there.faces)
+        spheres = np.concatenate([static.spheres[:split], spheres[:first], static.spheres[split:], spheres[first:]])
+        return {
+            "faces": faces.view(flat(FACE)), "corners": model.corners, "rounds": model.rounds.view(flat(ROUND)),
+            "spheres": spheres,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
+from mirror.portable import arrays
 from mirror.synth.model import Label
 from mirror.synth.render.binning import build_tile_lists, find_facing
 from mirror.synth.render.coverage import OFFSETS, SKY, compute_coverage
@@ -87,6 +88,11 @@ class RasterizedView:
     def normal(self) -> Float32:
         """Unit normals (H, W, 3) in the world frame, towards the camera; 0 for the sky."""
         return self._geometry[1]
+
+    @property
+    def camera_normal(self) -> Float32:
+        """Unit normals (H, W, 3) in the camera frame, towards the camera; 0 for the sky."""
+        return arrays.matmul(self.normal, self.rotation).astype(np.float32)
 
     def _of_surfaces(self, name: str, sky: int) -> Int64:
         values = np.concatenate([self.scene.faces[name], self.scene.rounds[name], [sky]])

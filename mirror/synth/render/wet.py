@@ -37,17 +37,26 @@ def add_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotation
     Returns:
         (H, W, 4) radiance.
     """
-    share = radiance[..., 3]
-    mask = _reflection_mask(share)
+    mask = reflection_mask(radiance)
     if not mask.any():
         return radiance
+    return blend_reflections(radiance, render_mirrored(scene, lens, rotation, origin, mask))
+
+
+def render_mirrored(scene: Surroundings, lens: Lens, rotation: Float64, origin: Float64, mask: Float32) -> Float32:
+    """Render the radiance (H, W, 4) that wet ground mirrors, where a mask (H, W) is set."""
     normal, offset = fit_ground_plane(scene, origin)
     flip = np.eye(3) - 2.0 * np.outer(normal, normal)
     below = origin - 2.0 * (arrays.matmul(normal, origin) - offset) * normal
     mirrored = rasterize_view(
         scene, lens, arrays.matmul(flip, rotation), below, offsets=_ONE_RAY, mask=mask, ground=False
     )
-    return _blend_reflection(radiance, _stretch_vertically(mirrored.radiance(2.0)))
+    return mirrored.radiance(2.0)
+
+
+def blend_reflections(radiance: Float32, mirrored: Float32) -> Float32:
+    """Add mirrored radiance (H, W, 4) to an image (H, W, 4), blurred as ripples and the road's roughness do."""
+    return _blend_reflection(radiance, _stretch_vertically(mirrored))
 
 
 def fit_ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, float]:
@@ -71,10 +80,11 @@ def fit_ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, floa
     return normal, float(arrays.matmul(normal, (place[0], place[1], height)))
 
 
-def _reflection_mask(share: Float32) -> Float32:
+def reflection_mask(radiance: Float32) -> Float32:
     """Mask (H, W) of pixels whose mirrored radiance is needed: those that mirror, and those blurred into them."""
     import cv2
 
+    share = radiance[..., 3]
     rows = np.ones((2 * _STRETCH_PX + 1, 1), np.uint8)
     mask: Float32 = cv2.dilate((share > _LEAST_SHARE).astype(np.uint8), rows).astype(np.float32)
     return mask

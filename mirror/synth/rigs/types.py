@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
+from mirror.geometry.rolling_shutter import ShutterDirection
 from mirror.synth.rigs.mount import Mount, Optics, SensorRaster
 from mirror.synth.road_users.ego import EgoKind
-
-Shutter = Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"]
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class VehicleType:
     mounts: tuple[Mount, ...]
     exposure_ns: int
     stagger_ns: int = 0
-    shutter: Shutter = "global"
+    shutter: ShutterDirection = "global"
     readout_ns: int = 0
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
+from mirror.geometry.rolling_shutter import RollingShutter, ShutterDirection
 from mirror.synth.errors import CameraClock, Errors, MountingError, Stage, perturb_intrinsics
 from mirror.synth.rigs.types import VehicleType
 from mirror.synth.seeds import random_stream
@@ -20,6 +21,21 @@ _STAGES: Final[tuple[Stage, ...]] = ("factory", "online")
 
 
 @dataclass(frozen=True)
+class Readout:
+    """The rolling shutter of one camera.
+
+    Attributes:
+        camera: name of the camera.
+        direction: direction in which lines are exposed.
+        readout_ns: from the start of the first line's exposure to the start of the last line's.
+    """
+
+    camera: str
+    direction: ShutterDirection
+    readout_ns: int
+
+
+@dataclass(frozen=True)
 class Vehicle:
     """A recording vehicle of the synthetic street.
 
@@ -28,12 +44,23 @@ class Vehicle:
         kind: type of the vehicle.
         width_px: image width of the preset; it sets the raster of each camera.
         seed: seed of the tolerances and of the factory calibration.
+        readouts: shutters of cameras that differ from the type's.
     """
 
     vehicle_id: str
     kind: VehicleType
     width_px: int
     seed: int = field(repr=False)
+    readouts: tuple[Readout, ...] = ()
+
+    def shutter(self, camera: str) -> RollingShutter:
+        """Return the shutter of a camera: that of its readout, else that of the vehicle type."""
+        chosen = {readout.camera: readout for readout in self.readouts}.get(camera)
+        direction, readout_ns = (
+            (self.kind.shutter, self.kind.readout_ns) if chosen is None else (chosen.direction, chosen.readout_ns)
+        )
+        raster = self.cameras[camera]
+        return RollingShutter(direction, readout_ns, raster.width_px, raster.height_px)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
@@ -105,8 +132,8 @@ class Vehicle:
             "valid_from_ns": None,
             "valid_to_ns": None,
             "time_offset_ns": time_offset_ns,
-            "shutter_direction": self.kind.shutter,
-            "readout_ns": self.kind.readout_ns,
+            "shutter_direction": self.shutter(name).direction,
+            "readout_ns": self.shutter(name).readout_ns,
             "covariance": covariance,
             "method": method,
         }

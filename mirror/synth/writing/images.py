@@ -56,7 +56,7 @@ def write_images(
     ):
         boxes.append(frame.boxes)
         yield frame
-    if drive.vehicle.kind.stagger_ns:
+    if drive.vehicle.kind.stagger_ns or drive.vehicle.readouts:
         _write_exposures(folder, drive, schedule)
     write_boxes(folder, pa.concat_tables([BOXES.schema.empty_table(), *boxes]))
 
@@ -94,8 +94,9 @@ def _write_frame_images(
 
 
 def _write_exposures(folder: Path, drive: SynthDrive, schedule: ImageSchedule) -> None:
-    half = drive.vehicle.kind.exposure_ns // 2
     for name, stamps in schedule.recorded_ns.items():
+        # from the start of the first line's exposure to the end of the last line's
+        half = (drive.vehicle.kind.exposure_ns + drive.vehicle.shutter(name).readout_ns) // 2
         lines = [f"{stamp}.jpg,{stamp - half},{stamp + half}" for stamp in stamps[schedule.kept[name]].tolist()]
         text = "\n".join(["file,exposure_start_ns,exposure_end_ns", *lines, ""])
         write_bytes(folder / "images" / f"{name}.csv", text.encode())

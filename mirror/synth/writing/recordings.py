@@ -23,6 +23,8 @@ from mirror.synth.fleet.drives import make_drives
 from mirror.synth.fleet.presets import Preset, resolve_preset
 from mirror.synth.light.condition import Effects
 from mirror.synth.maps import street_map
+from mirror.synth.rigs import Readout
+from mirror.synth.rigs.readouts import require_shorter
 from mirror.synth.seeds import draw_secret_seed, require_public_seed
 from mirror.synth.writing.images import FrameImages, write_cameras, write_image_references, write_images
 from mirror.synth.writing.journal import SECRET_SEED, Counts, Journal, open_journal
@@ -74,6 +76,7 @@ def write_recordings(
     traversals: int | None = None,
     errors: Errors | None = None,
     effects: Effects | None = None,
+    readouts: Sequence[Readout] = (),
     truth: Sequence[TruthKind] = (),
     workers: int | None = None,
     progress: ProgressReporter | None = None,
@@ -95,6 +98,7 @@ def write_recordings(
         traversals: number of drives with images through each scene; default: the preset's number.
         errors: measurement errors of the recordings; default: the preset's errors.
         effects: effects of light, weather and cameras to be rendered; default: all.
+        readouts: rolling shutters of cameras; the others have global ones.
         truth: kinds of ground truth to be written beside each recording.
         workers: number of threads; default: the number of processors.
         progress: receives the number of images of each recording and every written image; default: no report.
@@ -116,7 +120,8 @@ def write_recordings(
     if secret:
         _require_secret(settings, seed)
     if settings.on_demand:
-        _require_on_demand(preset, effects, truth)
+        _require_on_demand(preset, effects, truth, readouts)
+    require_shorter(readouts, settings.image_hz)
     progress = NullProgress() if progress is None else progress
     arguments = {
         "toolkit": __version__,
@@ -128,6 +133,11 @@ def write_recordings(
         "effects": str(effects),
         "truth": ",".join(sorted(set(truth))),
     }
+    if readouts:
+        # absent without rolling shutters, so that the named presets keep their bytes
+        arguments["rolling_shutter"] = ",".join(
+            f"{readout.camera}={readout.direction}:{readout.readout_ns}" for readout in readouts
+        )
     written = SynthReport()
     with open_journal(out, arguments) as done, thread_pool(workers or os.cpu_count() or 1) as pool:
         if secret:
@@ -135,6 +145,8 @@ def write_recordings(
         _, drives = make_drives(preset, seed, scenes, traversals)
         if effects is not None:
             drives = [replace(drive, condition=replace(drive.condition, effects=effects)) for drive in drives]
+        if readouts:
+            drives = [replace(drive, vehicle=replace(drive.vehicle, readouts=tuple(readouts))) for drive in drives]
         write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
         missing = [drive for drive in drives if done.find_complete(drive.drive_id) is None]
         ahead = [pool.submit(_simulate, drive) for drive in missing[:1]]
@@ -179,8 +191,17 @@ def _draw_or_read_secret(out: Path, done: Journal) -> int:
     return read_secret(out)
 
 
-def _require_on_demand(preset: str, effects: Effects | None, truth: Sequence[TruthKind]) -> None:
-    """Refuse effects and image truth for a preset whose images are rendered when they are loaded."""
+def _require_on_demand(
+    preset: str, effects: Effects | None, truth: Sequence[TruthKind], readouts: Sequence[Readout]
+) -> None:
+    """Refuse effects, image truth and rolling shutters for a preset whose images are rendered when they are loaded."""
+    if readouts:
+        raise UsageError(
+            f"rolling shutters with preset {preset!r}",
+            place="--rolling-shutter",
+            expected="global ones: its images are rendered when they are loaded, from URIs that do not name a shutter",
+            remedy="take another --preset",
+        )
     if effects is not None:
         raise UsageError(
             f"effects left out of preset {preset!r}",

@@ -103,6 +103,13 @@ def read_recorded_seed(recordings: Path, place: str) -> RecordedSeed:
         )
     arguments = read_json(recordings / SYNTH, SynthDocument).arguments
     seed = arguments.get("seed", "")
+    if "rolling_shutter" in arguments:
+        raise UsageError(
+            f"recordings with rolling shutters ({arguments['rolling_shutter']})",
+            file=recordings,
+            place=place,
+            expected="global ones: hidden truth is rendered at one instant",
+        )
     if seed == SECRET_SEED:
         return RecordedSeed(arguments.get("preset", ""), read_secret(recordings))
     return RecordedSeed(arguments.get("preset", ""), parse_public_seed(seed, f"{SYNTH}, arguments.seed"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
@@ -14,18 +15,17 @@ import pyarrow as pa
 from mirror.arrays import AnyArray, Int64
 from mirror.errors import UsageError
 from mirror.geometry import Poses
-from mirror.portable import arrays
 from mirror.schema.files import write_bytes, write_table
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.truth.files import FOLDER, TruthObject, write_document
-from mirror.synth.truth.flow import static_flow
+from mirror.synth.truth.flow import rolling_flow, static_flow
 from mirror.synth.truth.images import KINDS, Kind, truth_file
 from mirror.synth.truth.tables import BOXES, POSES
 from mirror.synth.writing.boxes import world_SE3_boxes
 from mirror.synth.writing.schedule import ImageSchedule
 
 if TYPE_CHECKING:
-    from mirror.synth.render.scene import Instant, RenderedImage
+    from mirror.synth.render.scene import Instant, RenderedImage, RollingImage
 
 TruthKind = Literal["depth", "normals", "semantic", "instance", "flow", "boxes", "poses"]
 TRUTH_KINDS: Final[tuple[TruthKind, ...]] = get_args(TruthKind)
@@ -69,7 +69,7 @@ def write_image_truth(
     kinds: Sequence[TruthKind],
     request: TruthRequest,
     instant: Instant,
-    image: RenderedImage,
+    image: RenderedImage | RollingImage,
 ) -> list[dict[str, Any]]:
     """Write the truth of one image.
 
@@ -90,7 +90,7 @@ def write_image_truth(
     if "depth" in kinds:
         maps["depth"] = view.distance_m
     if "normals" in kinds:
-        normals = (arrays.matmul(view.normal, view.rotation)).astype(np.float32)
+        normals = view.camera_normal.copy()
         normals[np.isinf(view.distance_m)] = np.nan
         maps["normals"] = normals
     if "semantic" in kinds:
@@ -98,8 +98,15 @@ def write_image_truth(
     if "instance" in kinds:
         maps["instance"] = view.object + 1
     if "flow" in kinds and request.next_ns is not None:
-        later = drive.world_SE3_camera(request.camera, np.array([request.next_ns]))
-        maps["flow"] = static_flow(view.distance_m, camera, pose, camera, later)
+        shutter = drive.vehicle.shutter(request.camera)
+        if shutter.is_rolling:
+            poses_at = partial(drive.poses_about, request.camera)
+            maps["flow"] = rolling_flow(
+                view.distance_m, camera, shutter, partial(poses_at, request.true_ns), partial(poses_at, request.next_ns)
+            )
+        else:
+            later = drive.world_SE3_camera(request.camera, np.array([request.next_ns]))
+            maps["flow"] = static_flow(view.distance_m, camera, pose, camera, later)
     for kind, values in maps.items():
         file = truth_file(recording / FOLDER, kind, request.camera, request.recorded_ns)
         write_bytes(file, KINDS[kind].encode(values))
@@ -107,7 +114,11 @@ def write_image_truth(
 
 
 def _box_rows(
-    drive: SynthDrive, request: TruthRequest, instant: Instant, image: RenderedImage, world_SE3_camera: Poses
+    drive: SynthDrive,
+    request: TruthRequest,
+    instant: Instant,
+    image: RenderedImage | RollingImage,
+    world_SE3_camera: Poses,
 ) -> list[dict[str, Any]]:
     from mirror.synth.truth.boxes import PosedObject, measure_visibility
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
+
 from mirror.arrays import Float32, UInt8
 from mirror.dataset.loader import Loader
 from mirror.dataset.traversal import CameraCalibration, Traversal
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
+from mirror.geometry.rolling_shutter import RollingShutter
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +189,26 @@ class Image:
             (1, 3)
         """
         return self._traversal.world_SE3_ego(self.timestamp_ns) @ self.calibration.ego_SE3_camera
+
+    @property
+    def shutter(self) -> RollingShutter:
+        """The shutter of this image's calibration.
+
+        Raises:
+            DatasetError: no calibration is valid.
+            UsageError: the calibration states a direction that the raster does not have.
+        """
+        row, camera = self.calibration.row, self.camera_model
+        return RollingShutter(row["shutter_direction"], row["readout_ns"], camera.width_px, camera.height_px)
+
+    def world_SE3_camera_at(self, offsets_ns: npt.ArrayLike) -> Poses:  # noqa: N802
+        """Return the camera's poses at offsets (N,) from mid-exposure, such as the times of its rows, ns.
+
+        Raises:
+            DatasetError: the chosen poses do not cover a time, or no calibration is valid.
+        """
+        stamps = self.timestamp_ns + np.round(np.atleast_1d(offsets_ns)).astype(np.int64)
+        return self._traversal.world_SE3_ego(stamps) @ self.calibration.ego_SE3_camera
 
     def depth(self) -> DepthImage | None:
         """Return the depth map of this image in the chosen layer; None if there is no such map.

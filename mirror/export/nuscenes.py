@@ -192,9 +192,12 @@ def _add_image(tables: _Tables, item: ExportImage, sample: str, *, is_key: bool)
     sensor = tables.add("sensor", channel, channel=channel, modality="camera")
     translation, rotation = mounting.translation[0].tolist(), mounting.rotation[0].tolist()
     matrix = camera.intrinsic_matrix(first_pixel_centre=0.0).tolist()
+    # Two columns that the devkit ignores, for cameras that have a rolling shutter.
+    shutter = image.shutter
+    columns = {"shutter_direction": shutter.direction, "readout_ns": shutter.readout_ns} if shutter.is_rolling else {}
     calibrated = tables.add(
-        "calibrated_sensor", item.drive_id, channel, translation, rotation, matrix,
-        sensor_token=sensor, translation=translation, rotation=rotation, camera_intrinsic=matrix,
+        "calibrated_sensor", item.drive_id, channel, translation, rotation, matrix, *columns.values(),
+        sensor_token=sensor, translation=translation, rotation=rotation, camera_intrinsic=matrix, **columns,
     )  # fmt: skip
     key = (item.frame.traversal_id, image.camera, image.timestamp_ns)
     time = _us(image.timestamp_ns)
@@ -260,6 +263,7 @@ LAYOUT: Final = ExportLayout(
         Kept("pose of the vehicle at each image", "ego_pose", "1e-9 m, 1e-12 rad"),
         Kept("mounting of the cameras", "calibrated_sensor", "exact"),
         Kept("focal lengths, principal point", "camera_intrinsic", "1e-12 px"),
+        Kept("rolling shutter", "calibrated_sensor: shutter_direction, readout_ns", "exact, of the recorded rows"),
         Kept("time of images and frames", "sample, sample_data", "0.5 us"),
         Kept("pose of boxes", "sample_annotation", "1e-9 m, 1e-12 rad"),
         Kept("size of boxes", "sample_annotation", "exact"),
@@ -276,7 +280,7 @@ LAYOUT: Final = ExportLayout(
         "the instant of boxes between frames: it becomes that of the nearest frame",
         "masks, depth maps, points",
         "distortion: images are undistorted",
-        "exposure, rolling shutter and time offsets",
+        "exposure and time offsets",
         "the geodetic reference of the world frame",
         "calibration stages, validity and covariance",
         "poses between images",

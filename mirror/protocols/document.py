@@ -83,6 +83,8 @@ class Pixels(Document):
         widest_deg: for ``undistorted``: largest angle from the optical axis, in degrees. Without a limit the centre of
             a fisheye image would shrink to a few pixels.
         max_width_px: wider rasters are scaled down to this width with the same aspect ratio; none is enlarged.
+        shutter: ``global``: views are rendered at mid-exposure. ``calibrated``: each row or column is rendered at its
+            own time, where the calibration of the recorded image has a rolling shutter. The hash omits ``global``.
         picture_resize: how images are scaled. ``area``: each pixel is the mean of the pixels that it covers.
         mask_resize: how masks are scaled. ``all``: a pixel is scored if all pixels that it covers are scored.
             ``nearest``: a pixel is scored if the pixel at its centre is, as in MTGS.
@@ -91,6 +93,7 @@ class Pixels(Document):
     space: Literal["raw", "undistorted"]
     widest_deg: float = Field(default=WIDEST_DEG, gt=0, lt=89)
     max_width_px: int = Field(ge=16, le=8192)
+    shutter: Literal["global", "calibrated"] = Field(default="global", exclude_if=lambda shutter: shutter == "global")
     picture_resize: Literal["area"] = "area"
     mask_resize: Literal["all", "nearest"] = "all"
 

@@ -141,10 +141,9 @@ def render_gaussians(exported: ExportedGaussians, view: RenderView) -> Tensor:
         exported.log_scales.exp(),
         exported.logits.sigmoid(),
         exported.spherical_harmonics,
-        viewpoint.viewmat[None],
-        viewpoint.K[None],
-        viewpoint.width_px,
-        viewpoint.height_px,
+        width=viewpoint.width_px,
+        height=viewpoint.height_px,
+        **viewpoint.cameras_on(exported.means.device),
         near_plane=0.2,
         sh_degree=round(exported.spherical_harmonics.shape[1] ** 0.5) - 1,
     )

@@ -147,17 +147,15 @@ def render(viewpoint: Viewpoint, parts: tuple[DecodedSplats, ...], *, track_grad
         track_gradients: whether the backward pass computes the Gaussians' absolute image gradients.
     """
     splats = concatenate_splats(parts)
-    viewmat, K = viewpoint.on(splats.means.device)
     images, alphas, meta = rasterization(
         splats.means,
         splats.quats,
         splats.scales,
         splats.opacities,
         splats.colours,
-        viewmat[None],
-        K[None],
-        viewpoint.width_px,
-        viewpoint.height_px,
+        width=viewpoint.width_px,
+        height=viewpoint.height_px,
+        **viewpoint.cameras_on(splats.means.device),
         near_plane=0.2,
         render_mode="RGB+ED",
         absgrad=track_gradients,

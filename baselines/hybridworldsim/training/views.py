@@ -42,6 +42,8 @@ def training_views(
 ) -> TrainingViews:
     """Select the training images of a scene, in the raster and with the masks of a protocol.
 
+    Views have the shutters of their calibrations, whatever the protocol asks of renders.
+
     Args:
         dataset: the dataset.
         protocol: the protocol that the method will be scored by; its groups and its choice of frames are ignored.
@@ -60,7 +62,7 @@ def training_views(
             "groups": (Group(name="training", roles=("train",)),),
         }
     )
-    plan = plan_views(dataset.where(scene=scene), every, split)
+    plan = plan_views(dataset.where(scene=scene), every, split, calibrated_shutters=True)
     selected = [view for view in plan.views if (view.traversal_id, view.camera, view.timestamp_ns) not in withheld]
     if not selected:
         raise DatasetError(

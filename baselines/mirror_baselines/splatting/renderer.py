@@ -78,17 +78,15 @@ class SplattingRenderer:
         for leaf in (*geometry.values(), spherical_harmonics):
             leaf.requires_grad_(learning)
         device = rows.device
-        viewmat, K = viewpoint.on(device)
         images, alphas, meta = rasterization(
             geometry["means"],
             geometry["quats"],
             geometry["scales"].exp(),
             geometry["opacities"].sigmoid(),
             spherical_harmonics,
-            viewmat[None],
-            K[None],
-            viewpoint.width_px,
-            viewpoint.height_px,
+            width=viewpoint.width_px,
+            height=viewpoint.height_px,
+            **viewpoint.cameras_on(device),
             near_plane=self.settings.near_m,
             sh_degree=int(model.sh_degree),
             render_mode="RGB+ED",

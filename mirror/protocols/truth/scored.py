@@ -8,12 +8,14 @@ from mirror.arrays import Bool
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
 from mirror.dataset.redaction import REDACTION
+from mirror.dataset.traversal import FrameBoxes
 from mirror.errors import DatasetError
-from mirror.geometry.box_projection import project_boxes
+from mirror.geometry.box_projection import convex_hull, project_boxes
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import Masks, Protocol
 from mirror.protocols.truth.raster import Raster, cached_raster
 from mirror.protocols.views.plan import find_group
+from mirror.protocols.views.rolling import rolling_hull_points
 from mirror.protocols.views.view import RenderView
 
 
@@ -98,8 +100,20 @@ def _exclude_boxes(masks: Masks, view: RenderView, frame: Frame) -> Bool:
     excluded = np.zeros((lens.height_px, lens.width_px), np.bool_)
     if not len(boxes):
         return excluded
+    if view.shutter is not None:
+        return _exclude_rolling_boxes(masks, view, boxes)
     projected = project_boxes(lens, view.pose.inverse() @ boxes.pose, boxes.size_m)
     for row in np.flatnonzero(projected.visible).tolist():
         if masks.categories is None or boxes.category[row] in masks.categories:
             excluded |= polygon_mask(projected.hull(row), lens.width_px, lens.height_px)
+    return excluded
+
+
+def _exclude_rolling_boxes(masks: Masks, view: RenderView, boxes: FrameBoxes) -> Bool:
+    """(H, W) mask as `_exclude_boxes`, with each box where the rows see it."""
+    excluded = np.zeros((view.height_px, view.width_px), np.bool_)
+    for row in range(len(boxes)):
+        if masks.categories is None or boxes.category[row] in masks.categories:
+            points = rolling_hull_points(view, boxes.pose[row : row + 1], boxes.size_m[row], boxes.velocity_mps[row])
+            excluded |= polygon_mask(convex_hull(points), view.width_px, view.height_px)
     return excluded

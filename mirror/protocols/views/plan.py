@@ -20,6 +20,7 @@ from mirror.geometry.poses import Poses
 from mirror.protocols.document import Frames, Group, Protocol, protocol_names
 from mirror.protocols.views.edits import EditPlanner
 from mirror.protocols.views.final_camera import final_camera
+from mirror.protocols.views.rolling import plan_shutter
 from mirror.protocols.views.view import RenderView
 from mirror.schema.documents import SplitDocument
 from mirror.schema.hashing import hash_document
@@ -52,23 +53,27 @@ class Plan:
     @property
     def hash(self) -> str:
         """SHA-256 of the plan without poses and lenses."""
+        rolling = sorted({(view.camera, view.shutter.direction) for view in self.views if view.shutter is not None})
         plain = [
             self.protocol.hash,
             self.split,
             self.dataset_hash,
             sorted(self.layers.items()),
             [(view.path, view.width_px, view.height_px) for view in self.views],
+            # absent without rolling shutters, so that the hashes of plans without them stay
+            *([rolling] if rolling else []),
         ]
         return hash_document(plain)
 
 
-def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
+def plan_views(dataset: Dataset, protocol: Protocol, split: str, *, calibrated_shutters: bool = False) -> Plan:
     """Plan the views that a protocol requests.
 
     Args:
         dataset: dataset with the truth.
         protocol: the protocol.
         split: name of a split of the dataset.
+        calibrated_shutters: give views the shutter of their calibration, as the protocol may state, whatever it states.
 
     Raises:
         DatasetError: the split does not exist; no traversal has a requested role; poses or calibrations are missing;
@@ -87,7 +92,7 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
     empty = []
     editor = EditPlanner(protocol)
     for group in protocol.groups:
-        group_views = list(_plan_group(dataset, protocol, split, document, group, editor))
+        group_views = list(_plan_group(dataset, protocol, split, document, group, editor, calibrated_shutters))
         views += group_views
         if not group_views:
             empty.append(group.name)
@@ -124,8 +129,15 @@ def select_frames(count: int, frames: Frames) -> list[int]:
 
 
 def _plan_group(
-    dataset: Dataset, protocol: Protocol, split: str, document: SplitDocument, group: Group, editor: EditPlanner
+    dataset: Dataset,
+    protocol: Protocol,
+    split: str,
+    document: SplitDocument,
+    group: Group,
+    editor: EditPlanner,
+    calibrated_shutters: bool,
 ) -> Iterator[RenderView]:
+    rolls = calibrated_shutters or protocol.pixels.shutter == "calibrated"
     if not set(group.roles) & set(document.assignments.values()):
         return
     selected = dataset.where(split=split, role=group.roles)
@@ -141,19 +153,20 @@ def _plan_group(
                 camera = image.camera_model
                 if camera not in finals:
                     finals[camera] = final_camera(camera, protocol.pixels)
-                view = _plan_view(group, frame, image, finals[camera], row, editor)
+                view = _plan_view(group, frame, image, finals[camera], row, editor, rolls)
                 if view is not None:
                     yield view
 
 
 def _plan_view(
-    group: Group, frame: Frame, image: Image, camera: Camera, row: dict[str, str], editor: EditPlanner
+    group: Group, frame: Frame, image: Image, camera: Camera, row: dict[str, str], editor: EditPlanner, rolls: bool
 ) -> RenderView | None:
-    pose = image.world_SE3_camera
+    pose, moved = image.world_SE3_camera, None
     if group.ego_shift_m:
         ego_SE3_camera = image.calibration.ego_SE3_camera
         shift = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, group.ego_shift_m, 0.0]]))
-        pose = pose @ ego_SE3_camera.inverse() @ shift @ ego_SE3_camera
+        moved = ego_SE3_camera.inverse() @ shift @ ego_SE3_camera
+        pose = pose @ moved
     edits = editor.plan_edits(group, frame, image.camera, camera, pose)
     if edits is None:
         return None
@@ -170,6 +183,7 @@ def _plan_view(
         **camera.to_row(),
         world_SE3_camera=pose,
         edits=edits,
+        shutter=plan_shutter(image, camera, moved) if rolls else None,
     )
 
 

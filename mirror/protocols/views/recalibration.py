@@ -84,10 +84,15 @@ def _calibrations(dataset: Dataset, views: Sequence[RenderView], traversals: set
 
 def _move(view: RenderView, planned: CameraCalibration, wanted: CameraCalibration) -> RenderView:
     lens = lens_in_raster(view.lens, planned.model, wanted.model)
-    pose = view.pose @ planned.ego_SE3_camera.inverse() @ wanted.ego_SE3_camera
+    moved = planned.ego_SE3_camera.inverse() @ wanted.ego_SE3_camera
+    shutter = view.shutter
+    if shutter is not None:
+        ends = {name: getattr(shutter, name) @ moved for name in ("world_SE3_first", "world_SE3_last")}
+        shutter = shutter.model_copy(update=ends)
     return view.model_copy(
         update={
-            "world_SE3_camera": pose,
+            "world_SE3_camera": view.pose @ moved,
+            "shutter": shutter,
             **{name: getattr(lens, name) for name in ("model", "distortion", "fx_px", "fy_px", "cx_px", "cy_px")},
         }
     )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, PlainSerializer, PlainValidator, WithJsonSchema
+from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, WithJsonSchema
 
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera, camera_from_attributes
@@ -90,6 +90,27 @@ class Edit(_Posed):
     world_SE3_target: PoseField | None
 
 
+RollingDirection = Literal["top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"]
+
+
+class ViewShutter(_Posed):
+    """The rolling shutter of a view's raster.
+
+    Attributes:
+        direction: direction in which rows or columns are exposed.
+        first_ns: time of the line that is exposed first, from mid-exposure.
+        last_ns: time of the line that is exposed last.
+        world_SE3_first: pose of the camera at the first time.
+        world_SE3_last: pose of the camera at the last time.
+    """
+
+    direction: RollingDirection
+    first_ns: float
+    last_ns: float
+    world_SE3_first: PoseField
+    world_SE3_last: PoseField
+
+
 class RenderView(_Posed):
     """One image that a submission must render.
 
@@ -113,6 +134,7 @@ class RenderView(_Posed):
         distortion: distortion coefficients of the final lens.
         world_SE3_camera: pose of the camera; `pose` is the same.
         edits: vehicles that are moved or removed.
+        shutter: rolling shutter of the view; None: all of it is seen at mid-exposure.
     """
 
     path: str
@@ -134,6 +156,7 @@ class RenderView(_Posed):
     distortion: tuple[float, ...]
     world_SE3_camera: PoseField
     edits: tuple[Edit, ...] = ()
+    shutter: ViewShutter | None = Field(default=None, exclude_if=lambda shutter: shutter is None)
 
     @property
     def lens(self) -> Camera:

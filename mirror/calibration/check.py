@@ -16,6 +16,7 @@ from mirror.calibration.frame_choice import FrameChoice
 from mirror.calibration.localisation import LENGTHS_M, compute_drift
 from mirror.calibration.rig import PosePrior, ScalePrior
 from mirror.calibration.sampling import choose_frames, track_traversal
+from mirror.calibration.shutters import ShutterEstimate, estimate_shutters
 from mirror.calibration.stages import StageHistory, compare_stages
 from mirror.calibration.statistics import LIMIT_DEG, FleetStatistics, compute_fleet_statistics, require_scipy
 from mirror.calibration.tracking import TrackingOptions
@@ -28,7 +29,7 @@ from mirror.schema.files import write_bytes
 from mirror.schema.finished_work import hash_values
 from mirror.schema.strict_json import decode_json
 
-METHOD: Final = "joint epipolar estimate, 2"
+METHOD: Final = "joint epipolar estimate, 3"
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,12 @@ class CameraCheck:
         focal_sigma_percent: its standard deviation.
         source: largest source of the variance of roll, pitch and yaw.
         source_share: its share of that variance, 0 to 1.
+        shutter: direction that the images show; None: they show none.
+        readout_ms: readout in that direction, or in the declared one.
+        readout_sigma_ms: its standard deviation.
+        offset_ms: how much later than its timestamps the camera exposes.
+        offset_sigma_ms: its standard deviation; the offset is known only where the vehicle changes its turn or speed.
+        shutter_problem: a declared readout or direction that the images contradict; None: they do not.
     """
 
     camera: str
@@ -66,6 +73,12 @@ class CameraCheck:
     focal_sigma_percent: float
     source: tuple[str, str, str]
     source_share: tuple[float, float, float]
+    shutter: str | None = None
+    readout_ms: float = 0.0
+    readout_sigma_ms: float | None = None
+    offset_ms: float = 0.0
+    offset_sigma_ms: float | None = None
+    shutter_problem: str | None = None
 
     def unobservable_axes(self) -> list[str]:
         """Return the names of the axes about which the rotation error is unknown."""
@@ -128,8 +141,9 @@ class CalibrationCheck:
     history: StageHistory
 
     def exit_code(self) -> ExitCode:
-        """Return 1 for an error above the limit, 3 for unread data, 2 if no camera could be checked, else 0."""
-        if any(one.status == "fail" for item in self.traversals for one in item.cameras):
+        """Return 1 for an error above the limit or a wrong shutter, 3 for unread data, 2 without a sample, else 0."""
+        cameras = [one for item in self.traversals for one in item.cameras]
+        if any(one.status == "fail" or one.shutter_problem for one in cameras):
             return ExitCode.FINDINGS
         if any(item.status == "failed" or item.unread for item in self.traversals):
             return ExitCode.PARTLY_DONE
@@ -233,6 +247,7 @@ def _check_traversal(
         frames = choose_frames(dataset, choice)
         tracked = track_traversal(dataset, frames, unread, options)
         estimates = estimate_rotations(tracked.rig, *priors)
+        shutters = estimate_shutters(tracked.rig, *priors)
         drift = {} if reference is None else _drift(dataset, reference)
     except UsageError as error:
         status = "failed" if unread else "not checked"
@@ -240,8 +255,8 @@ def _check_traversal(
     except MirrorError as error:
         return TraversalCheck(**about, status="failed", message=str(error))
     cameras = [
-        _camera_check(one, tracked.calibrations[one.camera].stage, explain(one, tracked.conditions))
-        for one in estimates
+        _camera_check(one, tracked.calibrations[one.camera].stage, explain(one, tracked.conditions), shutter)
+        for one, shutter in zip(estimates, shutters, strict=True)
     ]
     return TraversalCheck(
         **about, status="checked", frames=tracked.frames, driven_m=tracked.conditions.driven_m,
@@ -259,14 +274,17 @@ def _require_one_box_layer(dataset: Dataset) -> None:
             frames[0].boxes()
 
 
-def _camera_check(one: CameraEstimate, stage: str, reason: str | None) -> CameraCheck:
+def _camera_check(one: CameraEstimate, stage: str, reason: str | None, shutter: ShutterEstimate) -> CameraCheck:
     known = bool(one.observable.any())
     status = "unobservable" if not known else "fail" if one.angle_deg > LIMIT_DEG else "ok"
     error, sigma = one.error_deg.tolist(), one.sigma_deg.tolist()
+    source, source_share = (tuple(part) for part in zip(*one.main_sources, strict=True))
     return CameraCheck(
         one.camera, stage, tuple(error), tuple(sigma), tuple(one.observable.tolist()), one.angle_deg if known else None,
         status, reason, one.tracks, one.residual_px if one.tracks else None, one.focal.error_percent,
-        one.focal.sigma_percent, *zip(*one.main_sources, strict=True),
+        one.focal.sigma_percent, source=source, source_share=source_share,
+        shutter=shutter.direction, readout_ms=shutter.readout_ms, readout_sigma_ms=shutter.readout_sigma_ms,
+        offset_ms=shutter.offset_ms, offset_sigma_ms=shutter.offset_sigma_ms, shutter_problem=shutter.problem,
     )  # fmt: skip
 
 

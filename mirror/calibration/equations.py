@@ -3,7 +3,9 @@
 Every track between two images of a camera gives one equation: both rays and the motion of the camera lie in a plane.
 The unknowns are the rotation of every camera relative to the given mounting (3 numbers each), small corrections of the
 camera positions, corrections of the vehicle's pose in every frame, a scale of every focal length, and a scale of the
-way between the poses; the corrections and scales have priors, the rotations practically none. The residual is Sampson's
+way between the poses; the corrections and scales have priors, the rotations practically none. With a `TimePrior` there
+are three more of each camera: the offset of its clock, and its readouts along rows and columns. A pixel is seen at the
+time of its line, from where the vehicle's velocities have moved the camera then. The residual is Sampson's
 distance in pixels (R. Hartley, A. Zisserman, "Multiple View Geometry", 2004, section 11.4) with Cauchy's loss;
 Gauss-Newton steps with Levenberg's damping.
 """
@@ -17,13 +19,15 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64, Int64
-from mirror.calibration.rig import PosePrior, ScalePrior, TrackedRig
+from mirror.calibration.rig import PosePrior, ScalePrior, TimePrior, TrackedRig
 from mirror.calibration.tracking import PairTracks
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 
 _POSE: Final = 6
+_TIMES: Final = 3
+"""Unknown times of a camera, seconds: offset of its clock, readout of the rows downwards, of the columns rightwards."""
 _COLUMNS: Final = 3 * _POSE + 2
 """Unknowns of one pair of images: two poses, the mounting, the scales of the focal length and of the way."""
 _ITERATIONS: Final = 30
@@ -42,6 +46,7 @@ class JointProblem:
         rig: the rig with its tracks.
         prior: errors of poses and mountings; None: the defaults.
         scales: errors of focal lengths and of the length of the way; None: the defaults.
+        times: errors of the times of cameras, which are then unknowns; None: the declared times are exact.
         loss_px: scale of Cauchy's loss.
 
     Raises:
@@ -54,9 +59,11 @@ class JointProblem:
         prior: PosePrior | None = None,
         scales: ScalePrior | None = None,
         *,
+        times: TimePrior | None = None,
         loss_px: float = 0.25,
     ) -> None:
         self.rig = rig
+        self.times = times
         self.prior = prior or PosePrior()
         self.scales = scales or ScalePrior()
         self.loss_px = loss_px
@@ -77,6 +84,7 @@ class JointProblem:
         self.second = np.array([pair.second for pair in self.pairs])
         self.counts = np.array([len(pair) for pair in self.pairs])
         self.rows = np.repeat(np.arange(len(self.pairs)), self.counts)
+        self.shares = [np.empty((len(self.rows), 2)) for _ in range(2)]
         self.rays = [np.empty((len(self.rows), 3, 3)) for _ in range(2)]
         self.slopes = [np.empty((len(self.rows), 3, 3, 2)) for _ in range(2)]
         for number, name in enumerate(names):
@@ -86,6 +94,7 @@ class JointProblem:
                 if points:
                     ray, slope = rays_at_scales(rig.cameras[name], np.concatenate(points))
                     self.rays[side][own], self.slopes[side][own] = ray, slope
+                    self.shares[side][own] = _line_shares(rig.cameras[name], np.concatenate(points))
 
     def _baseline_m(self, pair: PairTracks) -> float:
         places = self.rig.world_SE3_ego[pair.camera].translation
@@ -108,6 +117,10 @@ class JointProblem:
             matrix[mount + 3 + axis, mount + 3 + axis] = self.prior.mounting_m**-2
         focal = self.scale_column + np.arange(count)
         matrix[focal, focal] = (0.01 * self.scales.focal_percent) ** -2
+        if self.times is not None:
+            sigma = 1e-3 * np.array([self.times.offset_ms, self.times.readout_ms, self.times.readout_ms])
+            columns = self.time_columns
+            matrix[columns, columns] = np.broadcast_to(sigma**-2, columns.shape)
         matrix[-1, -1] = (0.01 * self.scales.way_percent) ** -2
         return matrix
 
@@ -118,8 +131,42 @@ class JointProblem:
 
     @property
     def size(self) -> int:
-        """Number of unknowns P."""
-        return self.scale_column + len(self.rig.cameras) + 1
+        """Number of unknowns P; the scale of the way is the last."""
+        times = 0 if self.times is None else _TIMES
+        return self.scale_column + (1 + times) * len(self.rig.cameras) + 1
+
+    @property
+    def time_columns(self) -> Int64:
+        """(C, 3) positions of the unknown times among the unknowns; (C, 0) if the declared times are exact."""
+        count = len(self.rig.cameras)
+        first = self.scale_column + count
+        return first + np.arange(count * (0 if self.times is None else _TIMES)).reshape(count, -1)
+
+    @cached_property
+    def declared_times(self) -> Float64:
+        """(C, 3) declared times in seconds: no offset, and the readouts of rows downwards and columns rightwards."""
+        out = np.zeros((len(self.rig.cameras), _TIMES))
+        for number, name in enumerate(self.rig.names):
+            shutter = self.rig.shutter(name)
+            if shutter.is_rolling:
+                sign = -1.0 if shutter.direction in ("bottom_to_top", "right_to_left") else 1.0
+                out[number, 2 if shutter.reads_columns else 1] = sign * 1e-9 * shutter.readout_ns
+        return out
+
+    @cached_property
+    def _twists(self) -> Float64:
+        """(C, F, 6) the vehicle's velocities; 0 where they are not known."""
+        if self.rig.ego_twist is None:
+            return np.zeros((len(self.rig.cameras), len(self.rig.time_s), _POSE))
+        return np.stack([self.rig.ego_twist[name] for name in self.rig.names])
+
+    def _exposure_times(self, unknowns: Float64) -> list[Float64]:
+        """Times (M,) of the tracked pixels from mid-exposure in the first and the second images, seconds."""
+        values = self.declared_times
+        if self.times is not None:
+            values = values + unknowns[self.time_columns]
+        own = values[self.camera][self.rows]
+        return [own[:, 0] + (own[:, 1:] * share).sum(axis=1) for share in self.shares]
 
     def solve(self, ego_R_camera: Float64 | None = None) -> Solution:
         """Estimate the unknowns.
@@ -167,7 +214,12 @@ class JointProblem:
     def _at_focal(self, values: Float64, unknowns: Float64) -> tuple[Float64, Float64]:
         """Values (M, ...) at the focal lengths, and their derivatives by its logarithm, from values (M, 3, ...)."""
         shape = (-1,) + (1,) * (values.ndim - 2)
-        scale = unknowns[self.scale_column : -1][self.camera][self.rows].reshape(shape) / _SCALE_STEP
+        scale = (
+            unknowns[self.scale_column : self.scale_column + len(self.rig.cameras)][self.camera][self.rows].reshape(
+                shape
+            )
+            / _SCALE_STEP
+        )
         smaller, given, larger = np.moveaxis(values, 1, 0)
         slope, bend = 0.5 * (larger - smaller), larger - 2.0 * given + smaller
         return given + scale * (slope + 0.5 * scale * bend), (slope + scale * bend) / _SCALE_STEP
@@ -176,28 +228,31 @@ class JointProblem:
         rows = self.rows
         frames = len(self.rig.time_s)
         ego_R_camera, ego_t_camera, turns, places = self._poses(start, unknowns)
-        arm = ego_t_camera[self.camera]
-        in_ego, world, slopes, turn_of = [], [], [], []
+        arm = ego_t_camera[self.camera][rows]
+        in_ego, arms, mounts, world, slopes, turn_of, at = [], [], [], [], [], [], []
         rays, world_by_focal, slopes_by_focal = [], [], []
+        times = self._exposure_times(unknowns)
+        twists = [self._twists[self.camera, frame][rows] for frame in (self.first, self.second)]
         for side, frame in enumerate((self.first, self.second)):
             turn = turns[self.camera, frame]
             ray, ray_by_focal = self._at_focal(self.rays[side], unknowns)
             slope, slope_by_focal = self._at_focal(self.slopes[side], unknowns)
             rays.append(ray)
-            in_ego.append(np.einsum("mij,mj->mi", ego_R_camera[self.camera][rows], ray))
-            whole = (turn @ ego_R_camera[self.camera])[rows]
+            # where the vehicle is at the time of the pixel, in its frame at mid-exposure
+            moves = exp_rotations(times[side][:, None] * twists[side][:, :3])
+            mount = moves @ ego_R_camera[self.camera][rows]
+            mounts.append(mount)
+            arms.append(times[side][:, None] * twists[side][:, 3:] + np.einsum("mij,mj->mi", moves, arm))
+            in_ego.append(np.einsum("mij,mj->mi", mount, ray))
+            whole = turn[rows] @ mount
             world.append(np.einsum("mij,mj->mi", whole, ray))
             world_by_focal.append(np.einsum("mij,mj->mi", whole, ray_by_focal))
             slopes.append(whole @ slope)
             slopes_by_focal.append(whole @ slope_by_focal)
-            turn_of.append(turn)
-        at = [
-            places[self.camera, frame] + np.einsum("kij,kj->ki", turn, arm)
-            for frame, turn in zip((self.first, self.second), turn_of)
-        ]
-        base = (at[1] - at[0]) / np.linalg.norm(at[1] - at[0], axis=1)[:, None]
+            turn_of.append(turn[rows])
+            at.append(places[self.camera, frame][rows] + np.einsum("mij,mj->mi", turn[rows], arms[side]))
         length = np.linalg.norm(at[1] - at[0], axis=1)
-        b = base[rows]
+        b = (at[1] - at[0]) / length[:, None]
         normal = np.cross(world[0], world[1])
         error = np.einsum("mi,mi->m", b, normal)
         by_world = [np.cross(world[1], b), np.cross(b, world[0])]
@@ -206,23 +261,32 @@ class JointProblem:
         scale = np.maximum(scale, 1e-12)
         residual = error / scale
         # The motion's direction: its derivative by the camera's position is perpendicular to it.
-        by_base = (normal - error[:, None] * b) / length[rows][:, None]
-        jacobian = np.empty((len(rows), _COLUMNS))
+        by_base = (normal - error[:, None] * b) / length[:, None]
+        jacobian = np.empty((len(rows), _COLUMNS + (0 if self.times is None else _TIMES)))
         for side, sign in enumerate((-1.0, 1.0)):
-            turn = turn_of[side][rows]
+            turn = turn_of[side]
             back = np.einsum("mji,mj->mi", turn, by_world[side])
             back_base = np.einsum("mji,mj->mi", turn, by_base)
             # The rotation of a frame turns the ray and the arm of the camera; the position is given in the world frame.
             jacobian[:, _POSE * side : _POSE * side + 3] = np.cross(in_ego[side], back) + sign * np.cross(
-                arm[rows], back_base
+                arms[side], back_base
             )
             jacobian[:, _POSE * side + 3 : _POSE * side + 6] = sign * by_base
-        turned = ego_R_camera[self.camera][rows]
+            if self.times is not None:
+                # what a later pixel changes: the vehicle has turned on, and has moved on
+                spin, speed = twists[side][:, :3], twists[side][:, 3:]
+                late = (np.cross(spin, in_ego[side]) * back).sum(axis=1)
+                carried = arms[side] - times[side][:, None] * speed
+                late += sign * ((speed + np.cross(spin, carried)) * back_base).sum(axis=1)
+                parts = late[:, None] * np.concatenate([np.ones((len(rows), 1)), self.shares[side]], axis=1)
+                jacobian[:, _COLUMNS:] = parts if side == 0 else jacobian[:, _COLUMNS:] + parts
         jacobian[:, 12:15] = sum(
-            np.cross(ray, np.einsum("mji,mj->mi", turned, np.einsum("mji,mj->mi", turn[rows], one)))
-            for ray, turn, one in zip(rays, turn_of, by_world)
+            np.cross(ray, np.einsum("mji,mj->mi", mount, np.einsum("mji,mj->mi", turn, one)))
+            for ray, mount, turn, one in zip(rays, mounts, turn_of, by_world)
         )
-        jacobian[:, 15:18] = np.einsum("mji,mj->mi", turn_of[1][rows] - turn_of[0][rows], by_base)
+        back_to_ego = np.swapaxes(ego_R_camera, -1, -2)[self.camera][rows]
+        moved_arm = [turn @ mount @ back_to_ego for turn, mount in zip(turn_of, mounts)]
+        jacobian[:, 15:18] = np.einsum("mji,mj->mi", moved_arm[1] - moved_arm[0], by_base)
         jacobian[:, 18] = sum((one * other).sum(axis=1) for one, other in zip(by_world, world_by_focal))
         moved = unknowns[: _POSE * frames].reshape(-1, _POSE)[:, 3:]
         way = np.diff([places[self.camera, at] - moved[at] for at in (self.first, self.second)], axis=0)[0]
@@ -249,6 +313,7 @@ class JointProblem:
                 _POSE * (frames + self.camera)[:, None] + np.arange(_POSE),
                 self.scale_column + self.camera[:, None],
                 np.full((len(self.pairs), 1), self.size - 1),
+                self.time_columns[self.camera],
             ],
             axis=1,
         )
@@ -267,7 +332,7 @@ class Linearised:
         information: (P, P) matrix of second derivatives, priors included.
         gradient: (P,) derivatives of the cost.
         cost: negative logarithm of the posterior density.
-        gradients: (K, 20) part of the gradient of each of K pairs of images.
+        gradients: (K, 20) part of the gradient of each of K pairs of images; 23 columns with unknown times.
         columns: (K, 20) positions of these parts among the unknowns.
         residual: (M,) distances from the epipolar lines, pixels.
     """
@@ -307,9 +372,12 @@ class Solution:
         problem = self.problem
         ego_R_camera, ego_t_camera, turns, places = problem._poses(self.start, self.unknowns)
         ways, at = [], []
+        times = problem._exposure_times(self.unknowns)
         for side, frame in enumerate((problem.first, problem.second)):
             turn = turns[problem.camera, frame]
-            whole = (turn @ ego_R_camera[problem.camera])[problem.rows]
+            spin = problem._twists[problem.camera, frame][problem.rows, :3]
+            moves = exp_rotations(times[side][:, None] * spin)
+            whole = turn[problem.rows] @ moves @ ego_R_camera[problem.camera][problem.rows]
             ray, _ = problem._at_focal(problem.rays[side], self.unknowns)
             ways.append(np.einsum("mij,mj->mi", whole, ray))
             at.append(places[problem.camera, frame] + np.einsum("kij,kj->ki", turn, ego_t_camera[problem.camera]))
@@ -328,6 +396,13 @@ class Solution:
         """(C, 3) positions of the rotations among the unknowns."""
         count = len(self.problem.rig.cameras)
         return _POSE * (self.frames + np.arange(count))[:, None] + np.arange(3)
+
+
+def _line_shares(camera: Camera, uv_px: Float64) -> Float64:
+    """Compute the place (N, 2) of points among the rows and among the columns, from -0.5 to 0.5."""
+    rows = (uv_px[:, 1] - 0.5) / max(camera.height_px - 1, 1) - 0.5
+    columns = (uv_px[:, 0] - 0.5) / max(camera.width_px - 1, 1) - 0.5
+    return np.stack([rows, columns], axis=1)
 
 
 def rays_with_slopes(camera: Camera, uv_px: Float64) -> tuple[Float64, Float64]:

@@ -124,14 +124,14 @@ def estimate_rotations(
         UsageError: no pair of images has tracks and motion.
     """
     first = JointProblem(rig, prior, scales).solve()
-    near = _near_rig(first)
+    near = near_rig(first)
     # A drive of nothing but far points is estimated from these.
     solution = JointProblem(near, prior, scales).solve() if near.pairs else first
     return summarise(solution, tracker_bias_px=tracker_bias_px)
 
 
-def _near_rig(solution: Solution) -> TrackedRig:
-    """The rig without tracks of far points: clouds move, and their tracks would turn the cameras that see them."""
+def near_rig(solution: Solution) -> TrackedRig:
+    """Return the rig without tracks of far points: clouds move, and their tracks would turn cameras that see them."""
     near = solution.distances_m() < FARTHEST_M
     ends = np.cumsum(solution.problem.counts)[:-1]
     pairs = [

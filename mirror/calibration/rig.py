@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from mirror.calibration.tracking import PairTracks
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
+from mirror.geometry.rolling_shutter import RollingShutter
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,19 @@ class ScalePrior:
                 raise UsageError(f"{value}", place=name, expected="a number above 0 and at most 10")
 
 
+@dataclass(frozen=True)
+class TimePrior:
+    """Errors that the declared times of a camera may have, 1-sigma: wide, because the images are to show them.
+
+    Attributes:
+        offset_ms: offset of the camera's clock to the poses.
+        readout_ms: readout over all rows, and over all columns.
+    """
+
+    offset_ms: float = 50.0
+    readout_ms: float = 100.0
+
+
 @dataclass(frozen=True, eq=False)
 class TrackedRig:
     """A moving rig with the tracks between its images.
@@ -83,6 +97,9 @@ class TrackedRig:
         time_s: (F,) times of the frames, ascending.
         world_SE3_ego: recorded poses by camera name, F each: the poses at the exposures of that camera.
         pairs: tracks between images of the same camera.
+        ego_twist: (F, 6) by camera name: the vehicle's angular velocity, rad/s, then its velocity, m/s, in its own
+            frame at the exposures of that camera; None: not known, and all pixels count as seen at mid-exposure.
+        shutters: declared shutters by camera name; a missing one is global.
     """
 
     cameras: Mapping[str, Camera]
@@ -90,6 +107,13 @@ class TrackedRig:
     time_s: Float64
     world_SE3_ego: Mapping[str, Poses]
     pairs: Sequence[PairTracks]
+    ego_twist: Mapping[str, Float64] | None = None
+    shutters: Mapping[str, RollingShutter] = field(default_factory=dict)
+
+    def shutter(self, name: str) -> RollingShutter:
+        """Return the declared shutter of a camera."""
+        camera = self.cameras[name]
+        return self.shutters.get(name, RollingShutter("global", 0, camera.width_px, camera.height_px))
 
     @property
     def names(self) -> list[str]:

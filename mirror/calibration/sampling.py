@@ -20,10 +20,13 @@ from mirror.dataset.image import Image
 from mirror.dataset.traversal import CameraCalibration
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes
+from mirror.geometry.rolling_shutter import RollingShutter
 
 MOVING_MPS: Final = 0.3
 """A road user that is faster is masked; one of unknown speed too."""
 _FEWEST_FRAMES: Final = 3
+_TWIST_NS: Final = 100_000_000
+"""Velocities are those between poses this long before and after an exposure: recorded poses are noisy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +126,11 @@ def track_traversal(
     if not found.pairs:
         raise untracked_error(found.attempts, settings.least, spacing, measure_spacing(dataset.frames()))
     stamps = np.array([frame.timestamp_ns for frame in frames])
-    rig = TrackedRig(cameras, mountings, (stamps - stamps[0]) * 1e-9, ego, found.pairs)
+    rig = TrackedRig(
+        cameras, mountings, (stamps - stamps[0]) * 1e-9, ego, found.pairs,
+        {name: np.stack([_ego_twist(frame, name) for frame in frames]) for name in names},
+        {name: _shutter(calibrations[name]) for name in names},
+    )  # fmt: skip
     track = stack_poses([frame.world_SE3_ego for frame in frames])
     conditions = ObservingConditions(
         turned_deg=turned_deg(track),
@@ -184,6 +191,27 @@ def _ego_pose(frame: Frame, camera: str) -> Poses:
     if image is None:
         return frame.world_SE3_ego
     return image.world_SE3_camera @ image.calibration.ego_SE3_camera.inverse()
+
+
+def _ego_twist(frame: Frame, camera: str) -> Float64:
+    """The vehicle's velocities (6,) at the exposure of a camera, rad/s and m/s in its own frame.
+
+    They are 0 where the camera has no image, which has no tracks, and where the poses do not reach around it.
+    """
+    image, (stamps, _) = frame.images.get(camera), frame.track
+    if image is None:
+        return np.zeros(6)
+    at = np.clip(image.timestamp_ns + np.array([-_TWIST_NS, _TWIST_NS]), stamps[0], stamps[-1])
+    if at[0] == at[1]:
+        return np.zeros(6)
+    mounting = image.calibration.ego_SE3_camera
+    ends = image.world_SE3_camera_at(at - image.timestamp_ns) @ mounting.inverse()
+    return np.asarray((ends[:1].inverse() @ ends[1:]).log()[0] / (1e-9 * float(at[1] - at[0])))
+
+
+def _shutter(calibration: CameraCalibration) -> RollingShutter:
+    row, camera = calibration.row, calibration.model
+    return RollingShutter(row["shutter_direction"], row["readout_ns"], camera.width_px, camera.height_px)
 
 
 def _grey(rgb: UInt8) -> UInt8:

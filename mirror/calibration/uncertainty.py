@@ -65,7 +65,8 @@ class Uncertainty:
             "recorded rotations": poses[:, :3].ravel(),
             "recorded positions": poses[:, 3:].ravel(),
             "positions of the cameras": mounts[:, 3:].ravel(),
-            "focal length": np.arange(problem.scale_column, problem.size - 1),
+            "focal length": problem.scale_column + np.arange(len(problem.rig.cameras)),
+            **({} if problem.times is None else {"times of the cameras": problem.time_columns.ravel()}),
             "length of the way": np.array([problem.size - 1]),
             MOTION: mounts[:, :3].ravel(),
         }

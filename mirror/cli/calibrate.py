@@ -15,7 +15,7 @@ from mirror.command_line import Subcommand, help_text, parse_arguments, run_subc
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
-    from mirror.calibration.check import CalibrationCheck
+    from mirror.calibration.check import CalibrationCheck, CameraCheck
     from mirror.calibration.refinement.report import RefinementReport
     from mirror.calibration.refinement.summary import CameraRefinement
     from mirror.calibration.rig import PosePrior
@@ -87,8 +87,8 @@ class CalibrationCheckArguments:
     """Estimate the calibration errors of all cameras from images, and compare the calibration stages.
 
     Writes report.html and calibration.json. An interrupted check continues. Nothing in the dataset is changed.
-    Exit codes: 0 no error above 0.3 degrees was found, 1 some, 2 could not run or no camera could be checked, 3 some
-    data could not be read.
+    Exit codes: 0 no error above 0.3 degrees and no wrong shutter was found, 1 some, 2 could not run or no camera could
+    be checked, 3 some data could not be read.
     """
 
     dataset: tyro.conf.Positional[str]
@@ -203,6 +203,7 @@ def _print_check(check: CalibrationCheck, out: Path) -> None:
             note = f"{axes}: {one.reason}" if one.reason else ""
             lens = f"focal length {one.focal_error_percent:+.2f} +- {one.focal_sigma_percent:.2f} %"
             console.print(f"  {one.camera:<13} {one.stage:<8} {angle:>6} degrees  {one.status}{note}; {lens}")
+            console.print(f"  {'':<13} {_describe_times(one)}")
         for message in item.unread:
             console.print(f"  could not read: {message}")
     found = check.statistics
@@ -213,6 +214,15 @@ def _print_check(check: CalibrationCheck, out: Path) -> None:
     )
     console.print(f"verdict: {found.verdict} (a pass needs {found.needed} traversals without a failure)")
     console.print(f"report: {out / 'report.html'}")
+
+
+def _describe_times(one: CameraCheck) -> str:
+    """The readout and the time offset of a camera, in words."""
+    if one.readout_sigma_ms is None or one.offset_sigma_ms is None:
+        return "readout and time offset: not estimated"
+    readout = f"readout {one.readout_ms:.1f} +- {one.readout_sigma_ms:.1f} ms {one.shutter or ''}".rstrip()
+    offset = f"time offset {one.offset_ms:+.1f} +- {one.offset_sigma_ms:.1f} ms"
+    return f"{readout}; {offset}" + (f"; wrong shutter: {one.shutter_problem}" if one.shutter_problem else "")
 
 
 def _refine(argv: Sequence[str]) -> int:

@@ -1,0 +1,133 @@
+"""Readouts and time offsets of cameras, estimated from the tracks of a rig that turns, beside its mountings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.calibration.equations import JointProblem
+from mirror.calibration.estimate import TRACKER_BIAS_PX, near_rig
+from mirror.calibration.rig import PosePrior, ScalePrior, TimePrior, TrackedRig
+from mirror.calibration.tracking import pixel_rad
+from mirror.calibration.uncertainty import Uncertainty
+from mirror.geometry.rolling_shutter import ShutterDirection
+
+KNOWN_MS: Final = 2.0
+"""A time is known if its standard deviation is at most this."""
+LEAST_MS: Final = 2.0
+SIGMAS: Final = 4.0
+"""A declared readout is wrong if it is this much from the estimate: at least `LEAST_MS`, and `SIGMAS` deviations."""
+
+_DOWN: Final[tuple[ShutterDirection, ShutterDirection]] = ("top_to_bottom", "bottom_to_top")
+_RIGHT: Final[tuple[ShutterDirection, ShutterDirection]] = ("left_to_right", "right_to_left")
+
+
+@dataclass(frozen=True)
+class ShutterEstimate:
+    """The estimated times of one camera.
+
+    Attributes:
+        camera: name of the camera.
+        declared: declared direction.
+        declared_ms: declared readout.
+        direction: direction that the images show; None: they show no direction.
+        readout_ms: readout in that direction, or in the declared one.
+        readout_sigma_ms: its standard deviation.
+        offset_ms: how much later than its timestamps the camera exposes.
+        offset_sigma_ms: its standard deviation. On a straight road, or in a bend of constant speed, an offset acts like
+            an error of the mounting, and the deviation is large.
+        problem: a declared readout or direction that the images contradict; None: there is none, or it is not known.
+    """
+
+    camera: str
+    declared: ShutterDirection
+    declared_ms: float
+    direction: ShutterDirection | None
+    readout_ms: float
+    readout_sigma_ms: float
+    offset_ms: float
+    offset_sigma_ms: float
+    problem: str | None
+
+    @property
+    def readout_known(self) -> bool:
+        """Whether the images show the readout."""
+        return self.readout_sigma_ms <= KNOWN_MS
+
+    @property
+    def offset_known(self) -> bool:
+        """Whether the images show the offset; else it is an interval."""
+        return self.offset_sigma_ms <= KNOWN_MS
+
+
+def estimate_shutters(
+    rig: TrackedRig, prior: PosePrior | None = None, scales: ScalePrior | None = None, times: TimePrior | None = None
+) -> list[ShutterEstimate]:
+    """Estimate readout and time offset of every camera, jointly with mountings, poses and scales.
+
+    Args:
+        rig: the rig with its tracks and the vehicle's velocities.
+        prior: errors that the recorded poses may have; None: the defaults.
+        scales: errors of focal lengths and of the way; None: the defaults.
+        times: errors that the declared times may have; None: the defaults.
+
+    Returns:
+        One estimate per camera, in the order of the rig.
+
+    Raises:
+        UsageError: no pair of images has tracks and motion.
+    """
+    times = times or TimePrior()
+    solution = JointProblem(rig, prior, scales, times=times).solve()
+    near = near_rig(solution)
+    if near.pairs:
+        solution = JointProblem(near, prior, scales, times=times).solve()
+    problem = solution.problem
+    covariance = Uncertainty(solution).covariance
+    out = []
+    for number, name in enumerate(rig.names):
+        columns = problem.time_columns[number]
+        values = problem.declared_times[number] + solution.unknowns[columns]
+        bias_s = _tracker_bias_s(rig, name)
+        sigma = np.sqrt(np.diagonal(covariance)[columns] + bias_s**2)
+        out.append(_describe(rig, name, 1e3 * values, 1e3 * sigma))
+    return out
+
+
+def _tracker_bias_s(rig: TrackedRig, name: str) -> float:
+    """The time in which the vehicle turns by the bias of the tracker, which no scatter of tracks shows."""
+    if rig.ego_twist is None:
+        return np.inf
+    spin = float(np.sqrt((rig.ego_twist[name][:, :3] ** 2).sum(axis=1).mean()))
+    return TRACKER_BIAS_PX * pixel_rad(rig.cameras[name]) / max(spin, 1e-6)
+
+
+def _describe(rig: TrackedRig, name: str, values_ms: Float64, sigma_ms: Float64) -> ShutterEstimate:
+    """Name the direction that the readouts of rows and columns show, and what the calibration declares otherwise."""
+    shutter = rig.shutter(name)
+    declared: ShutterDirection = shutter.direction if shutter.is_rolling else "global"
+    declared_ms = 1e-6 * shutter.readout_ns if shutter.is_rolling else 0.0
+    offset, down, right = values_ms.tolist()
+    offset_sigma, down_sigma, right_sigma = sigma_ms.tolist()
+    shown: list[tuple[float, float, ShutterDirection]] = []
+    for value, sigma, names in ((down, down_sigma, _DOWN), (right, right_sigma, _RIGHT)):
+        if abs(value) > max(SIGMAS * sigma, LEAST_MS):
+            shown.append((abs(value), sigma, names[int(value < 0.0)]))
+    if shown:
+        readout, sigma, direction = max(shown)
+    else:
+        direction = None
+        sideways = declared in _RIGHT
+        value, sigma = (right, right_sigma) if sideways else (down, down_sigma)
+        readout = -value if declared in ("bottom_to_top", "right_to_left") else value
+    problem = None
+    found = "a global shutter" if direction is None else f"{direction}, {readout:.1f} +- {sigma:.1f} ms"
+    said = "a global shutter" if declared == "global" else f"{declared}, {declared_ms:.1f} ms"
+    if (direction or declared) != declared or abs(readout - declared_ms) > max(SIGMAS * sigma, LEAST_MS):
+        problem = f"the calibration declares {said}; the images show {found}"
+    return ShutterEstimate(
+        name, declared, declared_ms, direction, readout, sigma, offset, offset_sigma, problem
+    )  # fmt: skip

@@ -14,7 +14,7 @@ from hybridworldsim.rasterizer import RollingShutterType, rasterization
 from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import project as reference
-from hybridworldsim.rasterizer.rolling_shutter import RollingShutter, compute_motion, time_of_pixels
+from hybridworldsim.rasterizer.rolling_shutter import ShutterMotion, compute_motion, time_of_pixels
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_exp, quaternion_from_matrix, slerp
@@ -42,7 +42,7 @@ def through(
     project: Any, inputs: Inputs, kind: RollingShutterType, end: Tensor, lens: str = "plain", **how: Any
 ) -> ProjectedGaussians:
     means, quats, scales, opacities, viewmat = inputs
-    shutter = RollingShutter(*time_of_pixels(kind, WIDTH, HEIGHT), end)
+    shutter = ShutterMotion(*time_of_pixels(kind, WIDTH, HEIGHT), end)
     shape = (means, quats, scales, opacities, viewmat, K, WIDTH, HEIGHT)
     return project(*shape, **(options(**how) | {"lens": LENSES[lens], "shutter": shutter}))
 

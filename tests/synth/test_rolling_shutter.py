@@ -15,7 +15,7 @@ from mirror.errors import UsageError
 from mirror.geometry.rolling_shutter import RollingShutter
 from mirror.synth import SynthDrive, make_drives, parse_readouts, write_recordings
 from mirror.synth.render.scene import RollingImage
-from mirror.synth.rigs import Readout
+from mirror.synth.rigs import CameraReadout
 from mirror.synth.truth.flow import rolling_flow
 
 CAMERA, READOUT_NS = "front_wide", 60_000_000
@@ -24,7 +24,7 @@ AFTER_NS = 6_000_000_000
 
 def _drive(direction: str) -> SynthDrive:
     drive = make_drives("tiny", 0)[1][0]
-    readouts = (Readout(CAMERA, direction, READOUT_NS),)  # type: ignore[arg-type]
+    readouts = (CameraReadout(CAMERA, direction, READOUT_NS),)  # type: ignore[arg-type]
     return replace(drive, vehicle=replace(drive.vehicle, readouts=readouts))
 
 

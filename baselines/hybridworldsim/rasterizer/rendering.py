@@ -16,7 +16,7 @@ from hybridworldsim.rasterizer.lenses import LensDistortion
 from hybridworldsim.rasterizer.meta import BlendedView, Blending, GaussianLayout, make_meta
 from hybridworldsim.rasterizer.presets import GsplatPreset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
-from hybridworldsim.rasterizer.rolling_shutter import RollingShutter
+from hybridworldsim.rasterizer.rolling_shutter import ShutterMotion
 from hybridworldsim.rasterizer.rows import copy_rows, take_rows, take_rows_with_column
 
 _DEPTH_DIVISOR_MIN = 1e-10
@@ -64,7 +64,7 @@ def render(
     inputs: Inputs,
     options: RenderOptions,
     lenses: Sequence[LensDistortion | None],
-    shutters: Sequence[RollingShutter | None],
+    shutters: Sequence[ShutterMotion | None],
     packed: bool,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Render each scene through each of its cameras.
@@ -129,7 +129,7 @@ def _project(
     scene: int,
     camera: int,
     lens: LensDistortion | None,
-    shutter: RollingShutter | None,
+    shutter: ShutterMotion | None,
 ) -> ProjectedGaussians:
     """Project the Gaussians of a scene, without those that are culled because they are not finite."""
     tables = [inputs.means[scene], inputs.quats[scene], inputs.scales[scene], inputs.opacities[scene]]
@@ -163,7 +163,7 @@ def _compute_opacities(inputs: Inputs, scene: int, projection: ProjectedGaussian
 
 
 def _gather_features(
-    inputs: Inputs, options: RenderOptions, backend: Backend, view: BlendedView, shutter: RollingShutter | None
+    inputs: Inputs, options: RenderOptions, backend: Backend, view: BlendedView, shutter: ShutterMotion | None
 ) -> Tensor:
     """Gather the channels (M, D) that are blended: colours, depth or both."""
     projection = view.projected
@@ -184,7 +184,7 @@ def _gather_features(
     return features.to(projection.means2d.dtype)
 
 
-def _compute_directions(inputs: Inputs, view: BlendedView, shutter: RollingShutter | None) -> Tensor:
+def _compute_directions(inputs: Inputs, view: BlendedView, shutter: ShutterMotion | None) -> Tensor:
     """Compute directions (M, 3) from the camera to each Gaussian; they are exact far from the origin.
 
     The camera position is a sum of two numbers of the means' dtype. With a rolling shutter it is the middle of the two

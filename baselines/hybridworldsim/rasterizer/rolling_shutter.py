@@ -51,7 +51,7 @@ class RollingShutterType(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class RollingShutter:
+class ShutterMotion:
     """The shutter of one image.
 
     Attributes:
@@ -69,7 +69,7 @@ class RollingShutter:
 
 def make_shutters(
     inputs: Inputs, rolling_shutter: object, viewmats_rs: Tensor | None, with_ut: bool
-) -> Sequence[RollingShutter | None]:
+) -> Sequence[ShutterMotion | None]:
     """Make the shutter of each image; None for a global shutter.
 
     Args:
@@ -107,7 +107,7 @@ def make_shutters(
     starts, ends = inputs.viewmats.reshape(-1, 4, 4), viewmats_rs.reshape(-1, 4, 4)
     for image in range(images):
         _require_one_frame(image, starts[image].detach().double(), ends[image].detach().double())
-    return [RollingShutter(per_x, per_y, offset, ends[image]) for image in range(images)]
+    return [ShutterMotion(per_x, per_y, offset, ends[image]) for image in range(images)]
 
 
 def to_shutter_type(given: object) -> RollingShutterType:

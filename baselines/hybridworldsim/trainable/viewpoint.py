@@ -37,7 +37,7 @@ class Source(NamedTuple):
     camera: str
 
 
-class Readout(NamedTuple):
+class ReadoutPoses(NamedTuple):
     """The poses of a camera while its rows or columns are exposed.
 
     Attributes:
@@ -70,7 +70,7 @@ class Viewpoint:
     K: Tensor
     viewmat: Tensor
     source: Source
-    readout: Readout | None = None
+    readout: ReadoutPoses | None = None
 
     @cached_property
     def centre(self) -> Tensor:
@@ -159,7 +159,7 @@ def to_viewpoint(view: RenderView, origin_m: Float64) -> Viewpoint:
         Source(view.traversal_id, view.camera),
         None
         if view.shutter is None
-        else Readout(
+        else ReadoutPoses(
             f"ROLLING_{view.shutter.direction.upper()}",
             _to_viewmat(view.shutter.world_SE3_first, origin_m),
             _to_viewmat(view.shutter.world_SE3_last, origin_m),

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from mirror.synth.rigs.types import VEHICLE_TYPES, VehicleType
-from mirror.synth.rigs.vehicle import Readout, Vehicle
+from mirror.synth.rigs.vehicle import CameraReadout, Vehicle
 
-__all__ = ["VEHICLE_TYPES", "Readout", "Vehicle", "VehicleType"]
+__all__ = ["VEHICLE_TYPES", "CameraReadout", "Vehicle", "VehicleType"]

@@ -9,19 +9,19 @@ from typing import Final
 from mirror.errors import UsageError
 from mirror.geometry.rolling_shutter import SHUTTER_DIRECTIONS
 from mirror.schema.documents import CANONICAL_CAMERAS
-from mirror.synth.rigs.vehicle import Readout
+from mirror.synth.rigs.vehicle import CameraReadout
 
 OPTION: Final = "--rolling-shutter"
 _FORM: Final = "DIRECTION:MILLISECONDS for all cameras, or CAMERA=DIRECTION:MILLISECONDS,..."
 
 
-def parse_readouts(text: str) -> tuple[Readout, ...]:
+def parse_readouts(text: str) -> tuple[CameraReadout, ...]:
     """Parse readouts, such as ``top_to_bottom:30`` or ``front_wide=top_to_bottom:30,rear=left_to_right:12.5``.
 
     Raises:
         UsageError: a camera or direction does not exist, a camera is named twice, or a readout is no positive number.
     """
-    readouts: dict[str, Readout] = {}
+    readouts: dict[str, CameraReadout] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         camera, equals, shutter = part.rpartition("=")
         direction, colon, milliseconds = shutter.partition(":")
@@ -36,11 +36,11 @@ def parse_readouts(text: str) -> tuple[Readout, ...]:
         for name in (camera,) if equals else CANONICAL_CAMERAS:
             if name in readouts:
                 raise UsageError(f"two shutters of camera {name}", place=OPTION, expected="one of each camera")
-            readouts[name] = Readout(name, direction, readout_ns)
+            readouts[name] = CameraReadout(name, direction, readout_ns)
     return tuple(readouts.values())
 
 
-def require_shorter(readouts: Sequence[Readout], image_hz: float) -> None:
+def require_shorter(readouts: Sequence[CameraReadout], image_hz: float) -> None:
     """Require that each readout ends before the next image begins.
 
     Raises:

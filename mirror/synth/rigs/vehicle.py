@@ -21,7 +21,7 @@ _STAGES: Final[tuple[Stage, ...]] = ("factory", "online")
 
 
 @dataclass(frozen=True)
-class Readout:
+class CameraReadout:
     """The rolling shutter of one camera.
 
     Attributes:
@@ -51,7 +51,7 @@ class Vehicle:
     kind: VehicleType
     width_px: int
     seed: int = field(repr=False)
-    readouts: tuple[Readout, ...] = ()
+    readouts: tuple[CameraReadout, ...] = ()
 
     def shutter(self, camera: str) -> RollingShutter:
         """Return the shutter of a camera: that of its readout, else that of the vehicle type."""

@@ -23,7 +23,7 @@ from mirror.synth.fleet.drives import make_drives
 from mirror.synth.fleet.presets import Preset, resolve_preset
 from mirror.synth.light.condition import Effects
 from mirror.synth.maps import street_map
-from mirror.synth.rigs import Readout
+from mirror.synth.rigs import CameraReadout
 from mirror.synth.rigs.readouts import require_shorter
 from mirror.synth.seeds import draw_secret_seed, require_public_seed
 from mirror.synth.writing.images import FrameImages, write_cameras, write_image_references, write_images
@@ -76,7 +76,7 @@ def write_recordings(
     traversals: int | None = None,
     errors: Errors | None = None,
     effects: Effects | None = None,
-    readouts: Sequence[Readout] = (),
+    readouts: Sequence[CameraReadout] = (),
     truth: Sequence[TruthKind] = (),
     workers: int | None = None,
     progress: ProgressReporter | None = None,
@@ -192,7 +192,7 @@ def _draw_or_read_secret(out: Path, done: Journal) -> int:
 
 
 def _require_on_demand(
-    preset: str, effects: Effects | None, truth: Sequence[TruthKind], readouts: Sequence[Readout]
+    preset: str, effects: Effects | None, truth: Sequence[TruthKind], readouts: Sequence[CameraReadout]
 ) -> None:
     """Refuse effects, image truth and rolling shutters for a preset whose images are rendered when they are loaded."""
     if readouts:

@@ -19,7 +19,7 @@ from hybridworldsim.rasterizer.presets import (
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference.rolling import to_rolling_view
 from hybridworldsim.rasterizer.reference.unscented import project_unscented
-from hybridworldsim.rasterizer.rolling_shutter import RollingShutter
+from hybridworldsim.rasterizer.rolling_shutter import ShutterMotion
 
 RADIUS_MAX = 2**30
 """Upper bound of half extents, pixels: they are int32."""
@@ -57,7 +57,7 @@ def project(
     preset: GsplatPreset,
     antialiased: bool,
     lens: LensDistortion | None,
-    shutter: RollingShutter | None = None,
+    shutter: ShutterMotion | None = None,
 ) -> ProjectedGaussians:
     """Project Gaussians into one camera.
 
@@ -149,7 +149,7 @@ def _compute_splats(
     eps2d: float,
     preset: GsplatPreset,
     lens: LensDistortion | None,
-    shutter: RollingShutter | None,
+    shutter: ShutterMotion | None,
 ) -> _Splats:
     rotation = viewmat[:3, :3]
     turned = means @ rotation.T

@@ -13,7 +13,7 @@ from hybridworldsim.rasterizer.rolling_shutter import (
     SLACK_MIN,
     TIME_FIRST,
     TIME_LAST,
-    RollingShutter,
+    ShutterMotion,
     compute_motion,
     rotation_at,
 )
@@ -45,7 +45,7 @@ class RollingView(NamedTuple):
         return turned + self.translation + time[..., None] * self.drift
 
 
-def to_rolling_view(viewmat: Tensor, shutter: RollingShutter) -> RollingView:
+def to_rolling_view(viewmat: Tensor, shutter: ShutterMotion) -> RollingView:
     """Convert a first view matrix (4, 4) and a shutter to the motion between them."""
     motion = compute_motion(viewmat, shutter.viewmat_end)
     per_pixel = torch.tensor([shutter.per_x, shutter.per_y], dtype=torch.float64)

@@ -26,7 +26,7 @@ from hybridworldsim.rasterizer.rolling_shutter import compute_motion, rotation_a
 if TYPE_CHECKING:
     from hybridworldsim.rasterizer.lenses import LensDistortion
     from hybridworldsim.rasterizer.presets import GsplatPreset
-    from hybridworldsim.rasterizer.rolling_shutter import RollingShutter
+    from hybridworldsim.rasterizer.rolling_shutter import ShutterMotion
 
 _Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -54,7 +54,7 @@ def project(
     preset: GsplatPreset,
     antialiased: bool,
     lens: LensDistortion | None,
-    shutter: RollingShutter | None = None,
+    shutter: ShutterMotion | None = None,
 ) -> ProjectedGaussians:
     """Project Gaussians into one camera, and keep the Gaussians that reach its image.
 

@@ -22,7 +22,7 @@ from hybridworldsim.rasterizer.inputs import (
 from hybridworldsim.rasterizer.limits import require_positive
 from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, get_preset
 from hybridworldsim.rasterizer.rendering import RenderOptions, render
-from hybridworldsim.rasterizer.rolling_shutter import make_shutters
+from hybridworldsim.rasterizer.shutter_inputs import make_shutters
 from mirror.errors import UsageError
 
 BackendName = Literal["auto", "cuda", "cpu", "reference"]

@@ -54,12 +54,12 @@ class ShutterEstimate:
 
     @property
     def readout_known(self) -> bool:
-        """Whether the images show the readout."""
+        """Return whether the images show the readout."""
         return self.readout_sigma_ms <= KNOWN_MS
 
     @property
     def offset_known(self) -> bool:
-        """Whether the images show the offset; else it is an interval."""
+        """Return whether the images show the offset; else it is an interval."""
         return self.offset_sigma_ms <= KNOWN_MS
 
 

@@ -63,12 +63,12 @@ class RollingShutter:
 
     @property
     def is_rolling(self) -> bool:
-        """Whether lines are exposed at different times."""
+        """Return whether lines are exposed at different times."""
         return self.direction != "global" and self.readout_ns > 0
 
     @property
     def reads_columns(self) -> bool:
-        """Whether lines are columns."""
+        """Return whether lines are columns."""
         return self.direction in ("left_to_right", "right_to_left")
 
     @property

@@ -115,8 +115,8 @@ def test_on_a_straight_road_times_are_intervals(rig: TrackedRig) -> None:
 
 def test_declared_shutters_keep_mountings_right(rig: TrackedRig) -> None:
     honest = rolling_rig(TRUE)
-    told, untold = (estimate_rotations(replace(honest, shutters=declared)) for declared in (TRUE, {}))
-    worst = [max(float(np.abs(one.error_deg).max()) for one in estimates) for estimates in (told, untold)]
+    stated, unstated = (estimate_rotations(replace(honest, shutters=declared)) for declared in (TRUE, {}))
+    worst = [max(float(np.abs(one.error_deg).max()) for one in estimates) for estimates in (stated, unstated)]
     assert worst[0] < 0.1
     assert worst[1] > 2.0 * worst[0]
 

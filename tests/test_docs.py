@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from mirror.cli.verbs import all_commands
+from mirror.export.run import LAYOUTS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
@@ -66,6 +67,58 @@ def test_the_architecture_names_every_package() -> None:
     own = [path.parent.name for path in (ROOT / "baselines" / "hybridworldsim").glob("*/__init__.py")]
     shown = {"mvs": "multi-view stereo"}
     assert not [name for name in own if shown.get(name, name) not in model]
+
+
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+GENERATED = ("metrics.md", "rules.md", "schema.md")
+WITHOUT_LIMITS = ("architecture.md", "conventions.md", "glossary.md", "performance.md", "results.md", "threat-model.md")
+
+
+@pytest.mark.parametrize("document", PAGES, ids=lambda document: document.name)
+def test_a_page_begins_with_a_sentence_and_says_what_does_not_work(document: Path) -> None:
+    head, first, *_ = [block.strip() for block in document.read_text().split("\n\n")]
+    title, _, rest = head.partition("\n")
+    first = rest.strip() or first
+    assert title.startswith("# ")
+    # A sentence, not a block of code, a list, a table or another heading.
+    assert re.match(r"[A-Z`*].*[a-z]", first) and not first.startswith(("```", "- ", "* ", "| ", "#")), first[:80]
+    assert "." in first or ":" in first
+    if document.name not in (*GENERATED, *WITHOUT_LIMITS):
+        text = document.read_text()
+        assert re.search(r"^## (What does not work|What it cannot do|Limits)$", text, re.M), "no section of limits"
+
+
+def test_figures_of_the_readme_are_those_of_the_pages() -> None:
+    """Each figure of the table of capabilities stands in docs/performance.md beside its benchmark, or in the study."""
+    readme = (ROOT / "README.md").read_text()
+    table = readme.split("| capability |")[1].split("\n\n")[0].splitlines()[2:]
+    performance = (ROOT / "docs" / "performance.md").read_text().splitlines()
+    study = (ROOT / "benchmarks" / "studies" / "static_reconstruction" / "README.md").read_text()
+    assert len(table) >= 8
+    checked = 0
+    for row in table:
+        _, figures, command = (cell.strip() for cell in row.strip("| ").split(" | "))
+        name = command.strip("`").split()[0]
+        assert (
+            (ROOT / "benchmarks" / name).is_dir()
+            or (ROOT / "benchmarks" / f"{name}.py").is_file()
+            or (ROOT / "benchmarks" / "studies" / name).is_dir()
+        ), name
+        lines = [line for line in performance if f"(`{name}`)" in line]
+        for figure in re.findall(r"\d[\d.]* ms|\de-\d+", figures):
+            assert any(re.search(rf"(?<![\d.]){re.escape(figure)}", line) for line in lines), (name, figure)
+            checked += 1
+        for method, psnr in re.findall(r"`([\w-]+)`: ([\d.]+) dB", figures):
+            values = [float(value) for value in re.findall(rf"^\| {method} \| (\d+\.\d+) \|", study, re.M)]
+            assert round(values[0], 1) == float(psnr)
+            checked += 1
+    assert checked >= 8
+
+
+def test_export_formats_of_the_readme_exist() -> None:
+    readme = (ROOT / "README.md").read_text()
+    ((first, others),) = re.findall(r"mirror export (\w+) .*# also ([\w, ]+)", readme)
+    assert {first, *others.replace(",", " ").split()} <= set(LAYOUTS)
 
 
 def test_the_readme_is_short() -> None:

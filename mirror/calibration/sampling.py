@@ -128,8 +128,8 @@ def track_traversal(
     stamps = np.array([frame.timestamp_ns for frame in frames])
     rig = TrackedRig(
         cameras, mountings, (stamps - stamps[0]) * 1e-9, ego, found.pairs,
-        {name: np.stack([_ego_twist(frame, name) for frame in frames]) for name in names},
-        {name: _shutter(calibrations[name]) for name in names},
+        {name: np.stack([ego_twist(frame, name) for frame in frames]) for name in names},
+        {name: declared_shutter(calibrations[name]) for name in names},
     )  # fmt: skip
     track = stack_poses([frame.world_SE3_ego for frame in frames])
     conditions = ObservingConditions(
@@ -193,8 +193,8 @@ def _ego_pose(frame: Frame, camera: str) -> Poses:
     return image.world_SE3_camera @ image.calibration.ego_SE3_camera.inverse()
 
 
-def _ego_twist(frame: Frame, camera: str) -> Float64:
-    """The vehicle's velocities (6,) at the exposure of a camera, rad/s and m/s in its own frame.
+def ego_twist(frame: Frame, camera: str) -> Float64:
+    """Compute the vehicle's velocities (6,) at the exposure of a camera, rad/s and m/s in its own frame.
 
     They are 0 where the camera has no image, which has no tracks, and where the poses do not reach around it.
     """
@@ -209,7 +209,8 @@ def _ego_twist(frame: Frame, camera: str) -> Float64:
     return np.asarray((ends[:1].inverse() @ ends[1:]).log()[0] / (1e-9 * float(at[1] - at[0])))
 
 
-def _shutter(calibration: CameraCalibration) -> RollingShutter:
+def declared_shutter(calibration: CameraCalibration) -> RollingShutter:
+    """Return the shutter that a calibration states."""
     row, camera = calibration.row, calibration.model
     return RollingShutter(row["shutter_direction"], row["readout_ns"], camera.width_px, camera.height_px)
 

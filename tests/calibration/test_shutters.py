@@ -9,12 +9,15 @@ import pytest
 
 from mirror.calibration.equations import JointProblem
 from mirror.calibration.estimate import estimate_rotations
+from mirror.calibration.refinement.adjustment import adjust_rigs
+from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs
 from mirror.calibration.rig import TimePrior, TrackedRig
 from mirror.calibration.shutters import estimate_shutters
 from mirror.calibration.tracking import PairTracks
 from mirror.geometry import Poses, quaternion_from_matrix
 from mirror.geometry.rolling_shutter import RollingShutter, project_rolling
 from tests.calibration.exact_rig import CAMERAS, about_z, mountings
+from tests.calibration.moving_rigs import stack
 
 FRAMES, STEP_S = 14, 0.4
 
@@ -132,3 +135,48 @@ def test_derivatives_by_the_times_are_those_of_finite_differences(rig: TrackedRi
         costs = [problem._linearise(problem.mountings, unknowns + sign * step).cost for sign in (1, -1)]
         slope, size = (costs[0] - costs[1]) / 2e-6, float(np.abs(state.gradient).max())
         assert state.gradient[column] == pytest.approx(slope, rel=0.02, abs=1e-3 * size)
+
+
+def _moving_rigs(shutters: dict[str, RollingShutter]) -> tuple[MovingRigs, FeatureTracks]:
+    """The same drive as features of 400 points; the rigs state no shutters."""
+    rng = np.random.default_rng(7)
+    frames, step_s, count = 10, 0.35, len(CAMERAS)
+    stamps, true = 0.6 + step_s * np.arange(frames), mountings()
+    poses = _poses(stamps, True)
+    around, distance = rng.uniform(0.0, 2.0 * np.pi, 400), rng.uniform(6.0, 30.0, 400)
+    around = np.stack([distance * np.cos(around), distance * np.sin(around), rng.uniform(-0.5, 8.0, 400)], axis=1)
+    world = poses.translation.mean(axis=0) + around
+    rows, twist = [], np.empty((frames * count, 6))
+    ends = [_poses(stamps + side, True) for side in (-0.05, 0.05)]
+    for number, (name, camera) in enumerate(CAMERAS.items()):
+        for frame, stamp in enumerate(stamps):
+
+            def points_at(offsets_ns: np.ndarray, stamp: float = float(stamp), name: str = name) -> np.ndarray:
+                cameras = _poses(stamp + 1e-9 * offsets_ns, True) @ true[name]
+                return np.asarray(cameras.inverse().transform(world[:, None])[:, 0])
+
+            uv, valid, _ = project_rolling(camera, shutters[name], len(world), points_at)
+            rows += [(point, frame * count + number, *uv[point]) for point in np.flatnonzero(valid)]
+            twist[frame * count + number] = ((ends[0].inverse() @ ends[1]).log() / 0.1)[frame]
+    table = np.array(sorted(rows))
+    table = table[np.bincount(table[:, 0].astype(int))[table[:, 0].astype(int)] >= 2]
+    track = np.unique(table[:, 0], return_inverse=True)[1].astype(np.int64)
+    tracks = FeatureTracks(track, table[:, 1].astype(np.int64), table[:, 2:], np.ones(len(table)))
+    frame = np.repeat(np.arange(frames), count)
+    mounted = stack([true[name] for name in CAMERAS])
+    rigs = MovingRigs(
+        list(CAMERAS.values()), mounted, poses[frame], frame, np.tile(np.arange(count), frames), stamps,
+        np.zeros(frames, np.int64), twist,
+    )  # fmt: skip
+    return rigs, tracks
+
+
+def test_an_adjustment_with_the_declared_shutters_keeps_exact_mountings() -> None:
+    rigs, tracks = _moving_rigs(TRUE)
+    errors = []
+    for shutters in ([TRUE[name] for name in CAMERAS], []):
+        found = adjust_rigs(replace(rigs, shutters=shutters), tracks)
+        turn = (rigs.ego_SE3_camera.inverse() @ found.ego_SE3_camera).log()[:, :3]
+        errors.append((float(np.degrees(np.abs(turn)).max()), float(np.median(found.residual_px))))
+    assert errors[0][0] < 0.02 and errors[0][1] < 0.05
+    assert errors[1][0] > 3.0 * errors[0][0] and errors[1][1] > 3.0 * errors[0][1]

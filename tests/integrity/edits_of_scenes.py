@@ -187,6 +187,7 @@ def _cameras() -> Iterator[Edit]:
     yield of("CAM012", _silent, images, "MSK002", "DEP002")
     yield of("CAM013", _jump, file)
     yield of("CAM014", cell(A0, "calibrations", 0, stage="refined", covariance=None), file)
+    yield of("CAM016", cell(A0, "calibrations", 0, shutter_direction="top_to_bottom", readout_ns=10**12), file)
     yield of("CAM015", _stale_calibrations, f"traversals/{A0}/layers/calibrations/refined@1")
 
 

@@ -5,6 +5,9 @@ Levenberg-Marquardt steps with eliminated points (B. Triggs et al., "Bundle Adju
 scale of the loss starts large and shrinks, so that mountings with errors of a degree are reached; between the stages
 observations that do not fit are removed.
 
+A feature of a rolling shutter is seen at the time of its line. Before each stage its ray is replaced by that by which
+its point, as far as it is known, would be seen at mid-exposure.
+
 What the images alone give is the rotation of the cameras relative to each other. The rotation of all of them together
 to the vehicle comes from the recorded poses and their errors, and has a larger uncertainty.
 """
@@ -159,9 +162,11 @@ def adjust_rigs(
         points,
     )
     steps = 0
-    for factor, largest_px, most in _STAGES:
+    # the last stage again: its rays know the points better
+    for factor, largest_px, most in (*_STAGES, *(_STAGES[-1:] if rigs.are_rolling else ())):
         if not len(tracks):
             break
+        adjuster.expose(state, tracks)
         state, taken, converged = adjuster.solve(state, tracks, factor, most, advance)
         steps += taken
         fits = np.linalg.norm(adjuster.residuals(state, tracks), axis=1) < largest_px
@@ -172,6 +177,7 @@ def adjust_rigs(
             "no feature is seen from two places", expected="images that overlap, of a vehicle that moves",
             remedy="choose frames in which the vehicle moves, and images with texture",
         )  # fmt: skip
+    adjuster.expose(state, tracks)
     return Adjustment(
         rigs, tracks, state, adjuster.covariance(state, tracks),
         np.linalg.norm(adjuster.residuals(state, tracks), axis=1), steps, converged,
@@ -187,6 +193,7 @@ class Adjuster:
         self.mounts = matrix_from_quaternion(rigs.ego_SE3_camera.rotation)
         self.centres = np.array([(camera.cx_px, camera.cy_px) for camera in rigs.cameras])
         self._rays: tuple[FeatureTracks, tuple[Float64, Float64, Float64]] | None = None
+        self._raw: tuple[FeatureTracks, Float64] | None = None
 
     @cached_property
     def information(self) -> Float64:
@@ -233,6 +240,30 @@ class Adjuster:
                 metric[own] = np.linalg.pinv(slopes)
             self._rays = tracks, (ray, metric, tracks.uv_px - self.centres[mounting])
         return self._rays[1]
+
+    def expose(self, state: RigState, tracks: FeatureTracks) -> None:
+        """Move the rays of features of rolling shutters to mid-exposure, by the points of a state."""
+        twist, rigs = self.rigs.ego_twist, self.rigs
+        if twist is None or not rigs.are_rolling:
+            return
+        ray, metric, from_centre = self.rays(tracks)
+        raw = ray if self._raw is None or self._raw[0] is not tracks else self._raw[1]
+        mounting, points = rigs.mounting[tracks.image], state.points[tracks.track]
+        times = np.empty(len(mounting))
+        for number in np.unique(mounting):
+            own = mounting == number
+            times[own] = 1e-9 * rigs.shutters[number].offsets_ns(tracks.uv_px[own])
+        turns, places = self._poses(state)
+        in_ego = np.einsum("mji,mj->mi", turns[tracks.image], points - places[tracks.image])
+        spin, speed = twist[tracks.image, :3], twist[tracks.image, 3:]
+        moves = exp_rotations(times[:, None] * spin)
+        later = np.einsum("mji,mj->mi", moves, in_ego - times[:, None] * speed)
+        directions = []
+        for place in (in_ego, later):
+            seen = np.einsum("mji,mj->mi", state.mount_turns[mounting], place - state.mount_places[mounting])
+            directions.append(seen / np.linalg.norm(seen, axis=1, keepdims=True))
+        self._raw = tracks, raw
+        self._rays = tracks, (raw + directions[0] - directions[1], metric, from_centre)
 
     def _poses(self, state: RigState) -> tuple[Float64, Float64]:
         """Rotations (I, 3, 3) and positions (I, 3) of the vehicle at all images."""

@@ -12,6 +12,7 @@ from mirror.calibration.rig import PosePrior
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
+from mirror.geometry.rolling_shutter import RollingShutter
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,9 @@ class MovingRigs:
         mounting: (I,) mounting of each image.
         time_s: (F,) times of the frames.
         traversal: (F,) number of the traversal of each frame.
+        ego_twist: (I, 6) the vehicle's angular velocity, rad/s, and velocity, m/s, in its own frame at the exposures;
+            None: not known, and all features count as seen at mid-exposure.
+        shutters: K declared shutters; empty: all are global.
     """
 
     cameras: Sequence[Camera]
@@ -64,6 +68,13 @@ class MovingRigs:
     mounting: Int64
     time_s: Float64
     traversal: Int64
+    ego_twist: Float64 | None = None
+    shutters: Sequence[RollingShutter] = ()
+
+    @property
+    def are_rolling(self) -> bool:
+        """Return whether some camera has a rolling shutter that moves."""
+        return self.ego_twist is not None and any(shutter.is_rolling for shutter in self.shutters)
 
     def world_SE3_cameras(self) -> Poses:  # noqa: N802
         """Return the poses of the I images in the world."""

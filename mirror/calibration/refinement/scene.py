@@ -13,7 +13,7 @@ import numpy as np
 from mirror.calibration.frame_choice import FrameChoice
 from mirror.calibration.refinement.features import ImageFeatures, find_features
 from mirror.calibration.refinement.rigs import MovingRigs
-from mirror.calibration.sampling import choose_frames, stack_poses, static_pixels
+from mirror.calibration.sampling import choose_frames, declared_shutter, ego_twist, stack_poses, static_pixels
 from mirror.calibration.tracking import TrackedImage
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
@@ -140,7 +140,7 @@ def gather_rigs(items: Sequence[TraversalImages]) -> SceneRigs:
     mountings: dict[tuple[str, str, int | None], int] = {}
     calibrations: list[CameraCalibration] = []
     drives: list[str] = []
-    frame, mounting, poses, features = [], [], [], []
+    frame, mounting, poses, features, twists = [], [], [], [], []
     times: list[float] = []
     traversal: list[int] = []
     for number, item in enumerate(items):
@@ -159,9 +159,11 @@ def gather_rigs(items: Sequence[TraversalImages]) -> SceneRigs:
             mounting.append(mountings[key])
             poses.append(image.world_SE3_camera @ used.ego_SE3_camera.inverse())
             features.append(found)
+            twists.append(ego_twist(item.frames[place], image.camera))
     rigs = MovingRigs(
         [one.model for one in calibrations],
         stack_poses([one.ego_SE3_camera for one in calibrations]), stack_poses(poses),
         np.array(frame, np.int64), np.array(mounting, np.int64), np.array(times), np.array(traversal, np.int64),
+        np.array(twists).reshape(-1, 6), [declared_shutter(one) for one in calibrations],
     )  # fmt: skip
     return SceneRigs(rigs, calibrations, drives, features)

@@ -378,6 +378,38 @@ def _refined_without_covariance(view: SceneView) -> Iterator[Finding]:
     yield from rows.findings(refined & ~rows.is_known("covariance"), lambda row: "no covariance")
 
 
+@scene_rule(
+    "CAM016",
+    Severity.ERROR,
+    title=(
+        "A rolling shutter that the camera cannot have: its readout is longer than the period of its images, or the"
+        " raster has a single line in its direction."
+    ),
+    remedy="correct shutter_direction and readout_ns in the recording, and `mirror ingest RECORDING... --replace`",
+)
+def _impossible_shutter(view: SceneView) -> Iterator[Finding]:
+    calibrations, stamps = view.calibrations, view.images.integers("timestamp_ns")
+    readout = calibrations.integers("readout_ns")
+    width, height = calibrations.integers("width_px"), calibrations.integers("height_px")
+    period = np.zeros(len(calibrations), np.int64)
+    for row, own, same_camera in view.calibrated_images():
+        gaps = np.diff(np.unique(stamps[own][same_camera]))
+        period[row] = int(np.median(gaps)) if len(gaps) else 0
+    codes, words = calibrations.text_codes("shutter_direction")
+    sideways = np.isin(codes, [code for code, word in enumerate(words) if word in ("left_to_right", "right_to_left")])
+    rolls = (readout > 0) & ~np.isin(codes, [code for code, word in enumerate(words) if word == "global"])
+    single = rolls & (np.where(sideways, width, height) < 2)
+    long = rolls & (period > 0) & (readout > period)
+    yield from calibrations.findings(
+        single | long,
+        lambda row: (
+            f"a raster of {width[row]} x {height[row]} px has no such direction"
+            if single[row]
+            else f"a readout of {readout[row] * 1e-6:g} ms; images are {period[row] * 1e-6:g} ms apart"
+        ),
+    )
+
+
 _REFINED_FROM = ("poses", "calibrations", "boxes", "masks", "redaction")
 
 

@@ -34,6 +34,11 @@ inner_numpy_njit: Final[Any] = njit(cache=True, nogil=True, error_model="numpy",
 _PER_PIXEL: Final[dict[str, Any]] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
 
 
+def compiles_always() -> bool:
+    """Return whether every function is to be compiled, however small its input is: in `mirror compile`."""
+    return bool(_always)
+
+
 def per_pixel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Function], _Function]:
     """Return a decorator that compiles a function without allocations and without reference counts.
 

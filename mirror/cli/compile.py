@@ -111,6 +111,8 @@ def _chains(folder: Path) -> Iterator[list[list[str]]]:
         chain += [
             ["split", dataset, "novel", "--train", "1", "--held-out-traversals", "1"],
             ["reconstruct", dataset, "--split", "novel", "--steps", str(_STEPS), "--out", str(folder / "model")],
+            ["baseline", dataset, "--method", "nearest_frame", "--split", "novel", "--out", str(folder / "renders")],
+            ["evaluate", dataset, str(folder / "renders"), "--workers", "1", "--out", str(folder / "results")],
         ]
     yield chain
     if all(find_spec(package) is not None for package in ("gymnasium", "scipy")):

@@ -20,9 +20,11 @@ from typing import Final, overload
 import numpy as np
 
 from mirror.arrays import Bool, Float64, Int64
+from mirror.compiled import compiles_always
 from mirror.errors import UsageError
+from mirror.metrics.images.colour_kernels import add_equations, measure_spread, warp_colours
 from mirror.metrics.images.pairs import ImagePair, as_pair, as_pairs
-from mirror.metrics.images.psnr import psnr
+from mirror.metrics.images.psnr import decibels
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, as_array, as_image, of_layout
 from mirror.metrics.score import Score
 
@@ -30,6 +32,8 @@ ITERATIONS: Final = 5
 SATURATED: Final = 0.5 / 255.0
 
 _BLOCK: Final = 8192
+_LARGE: Final = 30_000
+"""RGB images with as many pixels are fitted by compiled kernels: a smaller one does not pay for compiling them."""
 # Directions of colour whose variance is below this share of the largest are rounding; so are singular values.
 _LEAST_VARIANCE: Final = 1e-13
 _LEAST_EIGENVALUE: Final = 1e-12
@@ -129,11 +133,13 @@ def psnr_cc(
 def _corrected_psnr(pair: ImagePair, iterations: int) -> CorrectedPsnr:
     correction = _correct(pair, iterations)
     target = pair.selected(pair.truth).astype(np.float64) / pair.data_range
+    difference = (correction.colours - target).reshape(-1)
     equal = np.array_equal(pair.selected(pair.render), pair.selected(pair.truth))
-    if equal or float(np.abs(correction.colours - target).max()) <= _ROUNDING:
+    if equal or max(float(difference.max()), -float(difference.min())) <= _ROUNDING:
         score = Score(math.inf)
     else:
-        score = psnr(correction.colours, target, data_range=1.0)
+        # Not `@`: BLAS would start threads for a sum of this length.
+        score = decibels(float(np.einsum("i,i->", difference, difference)), len(difference))
     return CorrectedPsnr(score, int(correction.ranks.min()), correction.terms)
 
 
@@ -197,6 +203,10 @@ class _Spread:
 
     @staticmethod
     def of(colours: Float64) -> _Spread:
+        if _is_large(colours):
+            spread = _Spread(np.empty(3), np.empty((3, 3)))
+            measure_spread(colours, spread.mean, spread.covariance)
+            return spread
         mean = colours.mean(axis=1)
         centred = colours - mean[:, None]
         return _Spread(mean, centred @ centred.T / colours.shape[1])
@@ -215,7 +225,9 @@ def _fit(colours: Float64, target: Float64, usable: Bool, spread: _Spread) -> tu
     whiten, unwhiten = spread.whitening()
     channels, terms = len(colours), _terms(len(colours))
     gram, moments = np.zeros((channels, terms, terms)), np.zeros((channels, terms))
-    for block in _blocks(colours.shape[1]):
+    if _is_large(colours):
+        add_equations(colours, target, usable, SATURATED, whiten, spread.mean, gram, moments)
+    for block in _blocks(0 if _is_large(colours) else colours.shape[1]):
         features = _expand(whiten @ (colours[:, block] - spread.mean[:, None]))
         fits = usable[:, block] & _unsaturated(colours[:, block])
         everywhere = fits.all(axis=0)
@@ -256,6 +268,9 @@ def _least_norm(gram: Float64, moments: Float64, lift: Float64) -> tuple[Float64
 
 def _apply(colours: Float64, warp: Float64) -> _Spread:
     """Warp colours in place; their new spread."""
+    if _is_large(colours):
+        warp_colours(colours, np.ascontiguousarray(warp))
+        return _Spread.of(colours)
     for block in _blocks(colours.shape[1]):
         np.clip(warp @ _expand(colours[:, block]), 0.0, 1.0, out=colours[:, block])
     return _Spread.of(colours)
@@ -291,6 +306,11 @@ def _lift(matrix: Float64, shift: Float64) -> Float64:
     lift[linear, -1] = shift
     lift[-1, -1] = 1.0
     return lift
+
+
+def _is_large(colours: Float64) -> bool:
+    """Return whether compiled kernels compute with colours (C, N)."""
+    return len(colours) == 3 and (colours.shape[1] >= _LARGE or compiles_always())
 
 
 def _unsaturated(colours: Float64) -> Bool:

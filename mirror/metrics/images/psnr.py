@@ -69,7 +69,7 @@ def psnr(
         UsageError: the images cannot be compared (`as_pair`), or a selected pixel is NaN or infinite.
     """
     pairs = as_pairs(render, truth, mask, data_range, layout)
-    return of_layout([_decibels(*_relative_squares(pair)) for pair in pairs], layout)
+    return of_layout([decibels(*_relative_squares(pair)) for pair in pairs], layout)
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Psnr:
     ) -> Score | list[Score]:
         """Add an image or a batch; see `psnr` for arguments, result and errors."""
         parts = [_relative_squares(pair) for pair in as_pairs(render, truth, mask, self.data_range, layout)]
-        scores = [_decibels(*part) for part in parts]
+        scores = [decibels(*part) for part in parts]
         self.scores.extend(scores)
         self._squares.extend(squares for squares, _ in parts)
         self._count += sum(count for _, count in parts)
@@ -132,7 +132,7 @@ class Psnr:
 
     def compute(self) -> PsnrSummary:
         """Return the summary so far, which does not depend on the order of images."""
-        pooled = _decibels(math.fsum(self._squares), self._count) if self.scores else summarise([]).mean
+        pooled = decibels(math.fsum(self._squares), self._count) if self.scores else summarise([]).mean
         return PsnrSummary(summarise(self.scores), pooled)
 
 
@@ -162,7 +162,8 @@ def _block_squares(render: AnyArray, truth: AnyArray, start: int, data_range: fl
         return float(np.einsum("i,i->", difference, difference))
 
 
-def _decibels(relative_squares: float, count: int) -> Score:
+def decibels(relative_squares: float, count: int) -> Score:
+    """Return the PSNR of a sum of squared differences, as parts of the range, and of their number."""
     if count == 0:
         return EMPTY_MASK
     return Score(math.inf if relative_squares == 0 else 10.0 * math.log10(count / relative_squares))

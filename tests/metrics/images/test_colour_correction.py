@@ -159,3 +159,33 @@ def test_floats_of_either_size_are_the_same_image() -> None:
     render = np.clip(0.8 * truth + 0.05 * draw.standard_normal(truth.shape), 0.0, 1.0).astype(np.float32)
     wide = psnr_cc(render.astype(np.float64), truth.astype(np.float64), data_range=1.0)
     assert psnr_cc(render, truth, data_range=1.0) == wide and 20.0 < wide.db < 40.0
+
+
+def large(image):
+    """The image in four quarters, one of them mirrored: large enough for the compiled kernels."""
+    whole = np.tile(image, (2, 2, 1))
+    whole[: len(image), : image.shape[1]] = image[::-1]
+    return whole
+
+
+@pytest.mark.parametrize("kind", ["as it is", "bright", "grey", "nearly grey", "flat", "white"])
+def test_large_images_have_the_least_squares_fit_too(kind):
+    render, truth = map(large, street())
+    assert render.shape[0] * render.shape[1] >= 30_000
+    if kind == "bright":
+        render = np.clip(render.astype(int) + 70, 0, 255).astype(np.uint8)
+    elif "grey" in kind:
+        render[...] = render[..., :1]
+        render[::2, ::3, 1] += kind == "nearly grey"
+    elif kind != "as it is":
+        render[...] = 77 if kind == "flat" else 255
+    check(render, truth)
+    mask = np.random.default_rng(3).random(render.shape[:2]) < 0.8
+    check(render, truth, mask)
+
+
+def test_large_and_small_images_are_fitted_alike():
+    render, truth = street()
+    # The same pixels once and four times over have the same fit.
+    small, whole = psnr_cc(render, truth), psnr_cc(large(render), large(truth))
+    assert whole.db == pytest.approx(small.db, abs=1e-11) and whole.rank == small.rank

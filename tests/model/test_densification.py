@@ -15,6 +15,7 @@ from torch import Tensor
 from hybridworldsim.model.densification.anchors import AnchorRefiner
 from hybridworldsim.model.densification.cells import cell_keys
 from hybridworldsim.model.densification.code_gaussians import CodeRefiner
+from hybridworldsim.model.densification.image_gradients import ImageGradients
 from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.anchors import Anchors
@@ -27,6 +28,11 @@ from tests.model.streets import view
 K = 2
 PLENTY = AnchorRefinement(times=10, max_anchors=100)
 VIEWPOINT = to_viewpoint(view(), np.zeros(3))
+
+
+def all_shown(lengths: torch.Tensor) -> ImageGradients:
+    """Gradients of all Gaussians of a part, each of which the image shows."""
+    return ImageGradients(torch.arange(len(lengths)), lengths, torch.ones_like(lengths))
 
 
 def anchors(count: int, apart_m: float = 5.0) -> Anchors:
@@ -58,7 +64,7 @@ def accumulate(
     refiner: AnchorRefiner, part: DecodedSplats, gradients: Tensor, times: int, viewpoint: Viewpoint = VIEWPOINT
 ) -> None:
     for _ in range(times):
-        refiner.accumulate(part, torch.arange(len(part)), gradients, viewpoint)
+        refiner.accumulate(part, all_shown(gradients), viewpoint)
 
 
 def test_transparent_anchors_are_removed_after_enough_visits() -> None:
@@ -167,7 +173,7 @@ def test_gaussians_with_the_largest_gradients_split_along_the_longest_axis() -> 
     node = code_gaussians(4)
     refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, 5)
     for _ in range(2):
-        refiner.accumulate(splats(node), torch.arange(4), torch.tensor([1.0, 5.0, 2.0, 0.0]))
+        refiner.accumulate(splats(node), all_shown(torch.tensor([1.0, 5.0, 2.0, 0.0])))
     refiner.refine(10)
     assert len(node) == 5
     halves = node.means.detach()[3:]
@@ -183,7 +189,7 @@ def test_transparent_gaussians_go_and_one_render_does_not_split() -> None:
     node = code_gaussians(4)
     node.logits.data[2] = -9.0
     refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, 50)
-    refiner.accumulate(splats(node), torch.arange(4), torch.full((4,), 7.0))
+    refiner.accumulate(splats(node), all_shown(torch.full((4,), 7.0)))
     refiner.refine(10)
     assert node.means[:, 0].tolist() == [0.0, 10.0, 30.0]
 
@@ -197,7 +203,7 @@ def test_code_gaussians_reach_the_target_count(seed: int, first: int, more: int)
     for done in range(1, PLENTY.times + 1):
         for _ in range(2):
             gradients = torch.from_numpy(rng.uniform(0.1, 1.0, len(node)).astype(np.float32))
-            refiner.accumulate(splats(node), torch.arange(len(node)), gradients)
+            refiner.accumulate(splats(node), all_shown(gradients))
         before = len(node)
         refiner.refine(done)
         # Splitting at most doubles the number.

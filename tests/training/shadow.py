@@ -20,6 +20,12 @@ DEVICE = "meta"
 _COPIES = (torch.ops.aten._to_copy.default, torch.ops.aten.copy_.default, torch.ops.aten.index_put_.default)
 
 
+WAITS: list[str] = []
+"""Operations so far for which a program would wait for the GPU: what reads numbers or their count back, and copies that
+do not return at once."""
+_READS = ("_local_scalar_dense", "nonzero", "masked_select", "_unique2", "unique_dim", "equal", "is_nonzero")
+
+
 class Shadow(Tensor):
     """A tensor whose numbers are those of a tensor on the CPU."""
 
@@ -36,6 +42,7 @@ class Shadow(Tensor):
 
     def tolist(self) -> Any:
         """Read the numbers back, as from a GPU."""
+        WAITS.append("tolist")
         return self.inner.tolist()
 
     @classmethod
@@ -60,6 +67,7 @@ def _run(function: Any, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> Any
     others = [leaf for leaf in leaves if isinstance(leaf, Tensor) and not isinstance(leaf, Shadow)]
     if shadows and any(other.dim() for other in others) and function not in _COPIES:
         raise RuntimeError(f"{function} mixes devices: {[(tuple(one.shape), one.dtype) for one in others]}")
+    _record_waits(function, args, kwargs, shadows)
     asked = kwargs.get("device")
     device = DEVICE if shadows else "cpu"
     if asked is not None:
@@ -75,6 +83,20 @@ def _run(function: Any, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> Any
         return known.get(id(one)) if id(one) in known else Shadow(one)
 
     return tree_map(wrap, found)
+
+
+def _record_waits(function: Any, args: tuple[Any, ...], kwargs: Mapping[str, Any], shadows: Sequence[Shadow]) -> None:
+    name = function.overloadpacket.__name__
+    asked = None if kwargs.get("device") is None else torch.device(kwargs["device"]).type
+    is_mask = name in ("index", "index_put", "index_put_") and any(
+        isinstance(one, Tensor) and one.dtype == torch.bool for one in args[1]
+    )
+    reads = bool(shadows) and (name in _READS or is_mask or (name == "_to_copy" and asked == "cpu"))
+    blocks = name == "_to_copy" and asked == DEVICE and not shadows and not kwargs.get("non_blocking")
+    between = name == "copy_" and len({isinstance(one, Shadow) for one in args[:2]}) == 2
+    non_blocking = kwargs.get("non_blocking", args[2] if len(args) > 2 else False)
+    if reads or blocks or (between and not non_blocking):
+        WAITS.append(name)
 
 
 def _inner(one: Any) -> Any:

@@ -35,7 +35,8 @@ def normal_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor, K: Tensor) 
         K: (3, 3) intrinsics, pixels.
     """
     if not is_compiled(rendered_m):
-        return plain.normal_loss(rendered_m, stereo_m, known, K.to(rendered_m))
+        lens = K.to(rendered_m.device, rendered_m.dtype, non_blocking=True)
+        return plain.normal_loss(rendered_m, stereo_m, known, lens)
     loss: Tensor = _NormalLoss.apply(rendered_m, stereo_m, known, K)
     return loss
 

@@ -187,10 +187,10 @@ class StreetTrainer:
     def _refine(self, output: StreetOutput, viewpoint: Viewpoint, progress: float) -> None:
         """Collect the statistics of the image, and refine when it is due."""
         refinement = self.settings.refinement
-        (rows, gradients), *others = image_gradients(output, viewpoint)
-        self._anchors.accumulate(output.parts[0], rows, gradients, viewpoint)
-        for refiner, part, (rows, gradients) in zip((self._ground, self._sky), output.parts[1:], others):
-            refiner.accumulate(part, rows, gradients)
+        background, *others = image_gradients(output, viewpoint)
+        self._anchors.accumulate(output.parts[0], background, viewpoint)
+        for refiner, part, gradients in zip((self._ground, self._sky), output.parts[1:], others):
+            refiner.accumulate(part, gradients)
         if due_refinements(refinement, progress) > self._refined and self._steps >= self._last + refinement.least_steps:
             self._refined, self._last = due_refinements(refinement, progress), self._steps
             self.catch_up()

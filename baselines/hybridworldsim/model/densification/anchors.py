@@ -9,6 +9,7 @@ from torch import Tensor
 
 from hybridworldsim.model.dense_adam import TableAdam
 from hybridworldsim.model.densification.cells import grow_anchors
+from hybridworldsim.model.densification.image_gradients import ImageGradients
 from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.settings import AnchorRefinement
@@ -34,18 +35,17 @@ class AnchorRefiner:
         self._nearest_m = torch.full((len(node),), torch.inf, device=node.means.device)
         self._clear()
 
-    def accumulate(self, part: DecodedSplats, rows: Tensor, gradients: Tensor, viewpoint: Viewpoint) -> None:
+    def accumulate(self, part: DecodedSplats, gradients: ImageGradients, viewpoint: Viewpoint) -> None:
         """Add the statistics of one image.
 
         Args:
             part: the decoded Gaussians.
-            rows: (M,) rows of the part that the image shows.
-            gradients: (M,) gradient length of each, see `image_gradients`.
+            gradients: image-plane gradients of Gaussians of the part.
             viewpoint: camera of the image.
         """
-        offsets = part.rows[rows]
-        self._gradient_sum.view(-1).index_add_(0, offsets, gradients)
-        self._render_count.view(-1).index_add_(0, offsets, torch.ones_like(gradients))
+        offsets = part.rows[gradients.rows]
+        self._gradient_sum.view(-1).index_add_(0, offsets, gradients.lengths)
+        self._render_count.view(-1).index_add_(0, offsets, gradients.shown)
         self._opacity_sum.index_add_(0, part.rows // self._node.k, part.opacities.detach())
         if part.anchor_ids is not None:
             self._visit_count[part.anchor_ids] += 1.0

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from hybridworldsim.model.dense_adam import TableAdam
+from hybridworldsim.model.densification.image_gradients import ImageGradients
 from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.model.settings import AnchorRefinement
@@ -35,11 +36,11 @@ class CodeRefiner:
         self._initial_count, self._max_count = len(node), max_count
         self._clear()
 
-    def accumulate(self, part: DecodedSplats, rows: Tensor, gradients: Tensor) -> None:
+    def accumulate(self, part: DecodedSplats, gradients: ImageGradients) -> None:
         """Add the statistics of one image; see `AnchorRefiner.accumulate`."""
-        ids = part.rows[rows]
-        self._gradient_sum.index_add_(0, ids, gradients)
-        self._render_count.index_add_(0, ids, torch.ones_like(gradients))
+        ids = part.rows[gradients.rows]
+        self._gradient_sum.index_add_(0, ids, gradients.lengths)
+        self._render_count.index_add_(0, ids, gradients.shown)
 
     @torch.no_grad()
     def refine(self, refinement_number: int) -> None:

@@ -23,14 +23,15 @@ def anchors_to_gaussians(
     k = offsets.shape[1]
     numbers = geometry.reshape(-1, geometry.shape[1] // k)
     slots = (numbers[:, 0] > 0.0).nonzero().squeeze(1)
-    parents, own = slots // k, numbers[slots]
-    sizes = log_scales[parents].exp()
+    # The gradient of a selection is a sum of rows; that of an index is sorted first.
+    parents, own = slots // k, numbers.index_select(0, slots)
+    sizes = log_scales.index_select(0, parents).exp()
     return (
-        means[parents] + offsets.reshape(-1, 3)[slots] * sizes[:, :3],
+        means.index_select(0, parents) + offsets.reshape(-1, 3).index_select(0, slots) * sizes[:, :3],
         own[:, 4:],
         sizes[:, 3:] * own[:, 1:4].sigmoid(),
         own[:, 0].tanh(),
-        colours.reshape(-1, 3)[slots].sigmoid(),
+        colours.reshape(-1, 3).index_select(0, slots).sigmoid(),
         slots,
     )
 
@@ -46,7 +47,7 @@ def network_inputs(codes: Tensor, means: Tensor, eye: Tensor, radius_m: float | 
     Only the codes get a gradient.
     """
     places = means.detach()
-    away = places - eye.to(means)
+    away = places - eye.to(means.device, means.dtype, non_blocking=True)
     directions = away / away.norm(dim=1, keepdim=True).clamp_min(_LEAST_M)
     beside = [] if radius_m is None else [places / radius_m]
     one = codes.new_ones(len(codes), 1)

@@ -20,7 +20,8 @@ from mirror.dataset.layout import Layout, manifest_sha256, read_manifest
 from mirror.dataset.traversal import FrameBoxes
 from mirror.dataset.writing import writing_layers
 from mirror.errors import DatasetError, UsageError
-from mirror.geometry.box_projection import project_boxes
+from mirror.geometry.box_projection import convex_hull, project_boxes
+from mirror.geometry.boxes import edge_points
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.progress import NullProgress, ProgressReporter
@@ -87,13 +88,36 @@ def draw_hulls(camera: Camera, camera_SE3_box: Poses, size_m: Float64) -> UInt8:
     mask = np.zeros((camera.height_px, camera.width_px), np.uint8)
     projected = project_boxes(camera, camera_SE3_box, size_m)
     for row in np.flatnonzero(projected.visible):
-        hull = projected.hull(int(row))
-        if len(hull) < 3:
-            continue
-        # OpenCV has the centre of the first pixel at 0, and takes whole numbers of sixteenths.
-        corners = np.clip(hull - 0.5, -_FARTHEST_PX, _FARTHEST_PX) * (1 << _SHIFT)
-        cv2.fillConvexPoly(mask, np.round(corners).astype(np.int32), 255, cv2.LINE_8, _SHIFT)
+        _fill(mask, projected.hull(int(row)))
     return mask
+
+
+def draw_rolling_hulls(image: Image, world_SE3_box: Poses, size_m: Float64, velocity_mps: Float64) -> UInt8:
+    """Draw the hulls of N moving boxes where the rows of an image of a rolling shutter see them.
+
+    Args:
+        image: the image.
+        world_SE3_box: N poses of boxes at mid-exposure.
+        size_m: (N, 3) length, width, height.
+        velocity_mps: (N, 3) velocities in the world frame; NaN counts as 0.
+
+    Returns:
+        (H, W): 255 where a box is, else 0.
+    """
+    camera = image.camera_model
+    mask = np.zeros((camera.height_px, camera.width_px), np.uint8)
+    for points, velocity in zip(edge_points(world_SE3_box, size_m), velocity_mps):
+        _fill(mask, convex_hull(image.project_moving(points, velocity)))
+    return mask
+
+
+def _fill(mask: UInt8, hull: Float64) -> None:
+    """Fill a hull (K, 2) in a mask; one of fewer than three corners has no area."""
+    if len(hull) < 3:
+        return
+    # OpenCV has the centre of the first pixel at 0, and takes whole numbers of sixteenths.
+    corners = np.clip(hull - 0.5, -_FARTHEST_PX, _FARTHEST_PX) * (1 << _SHIFT)
+    cv2.fillConvexPoly(mask, np.round(corners).astype(np.int32), 255, cv2.LINE_8, _SHIFT)
 
 
 def mask_layer(
@@ -181,6 +205,9 @@ def frame_masks(frame: Frame, options: MaskOptions) -> dict[str, UInt8]:
         centre = boxes.pose.translation[chosen] + seconds * np.nan_to_num(boxes.velocity_mps[chosen])
         pose = Poses.unchecked(boxes.pose.rotation[chosen], centre)
         size = boxes.size_m[chosen] * (1.0 + options.margin)
+        if len(pose) and image.shutter.is_rolling:
+            masks[camera] = draw_rolling_hulls(image, pose, size, boxes.velocity_mps[chosen])
+            continue
         camera_SE3_box = image.world_SE3_camera.inverse() @ pose if len(pose) else pose
         masks[camera] = draw_hulls(image.camera_model, camera_SE3_box, size)
     return masks

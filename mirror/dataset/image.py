@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from mirror.arrays import Float32, UInt8
+from mirror.arrays import Float32, Float64, UInt8
 from mirror.dataset.loader import Loader
 from mirror.dataset.traversal import CameraCalibration, Traversal
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
-from mirror.geometry.rolling_shutter import RollingShutter
+from mirror.geometry.rolling_shutter import RollingShutter, project_rolling
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,6 +209,29 @@ class Image:
         """
         stamps = self.timestamp_ns + np.round(np.atleast_1d(offsets_ns)).astype(np.int64)
         return self._traversal.world_SE3_ego(stamps) @ self.calibration.ego_SE3_camera
+
+    def project_moving(self, world_points_m: npt.ArrayLike, world_velocity_mps: npt.ArrayLike) -> Float64:
+        """Project moving points, each at the time of the row or column that sees it.
+
+        Args:
+            world_points_m: (N, 3) points at mid-exposure.
+            world_velocity_mps: (N, 3) or (3,) velocities; NaN counts as 0.
+
+        Returns:
+            (N, 2) pixels; NaN where the camera does not image a point.
+
+        Raises:
+            DatasetError: the chosen poses do not cover the readout, or no calibration is valid.
+        """
+        points = np.asarray(world_points_m, np.float64)
+        velocity = np.nan_to_num(np.asarray(world_velocity_mps, np.float64))
+
+        def points_at(offsets_ns: Float64) -> Float64:
+            moved = points + 1e-9 * offsets_ns[:, None] * velocity
+            cameras = self.world_SE3_camera_at(offsets_ns)
+            return np.asarray(cameras.inverse().transform(moved[:, None])[:, 0])
+
+        return project_rolling(self.camera_model, self.shutter, len(points), points_at)[0]
 
     def depth(self) -> DepthImage | None:
         """Return the depth map of this image in the chosen layer; None if there is no such map.

@@ -111,3 +111,23 @@ def sizes(poses: Poses, lwh_m: npt.ArrayLike) -> Float64:
             expected="length, width and height in metres, finite and not negative",
         )
     return given
+
+
+def edge_points(poses: Poses, lwh_m: npt.ArrayLike, count: int = 5) -> Float64:
+    """Return points on the edges of boxes, evenly spaced from corner to corner.
+
+    Args:
+        poses: N poses ``dst_SE3_box``.
+        lwh_m: (N, 3) length, width, height in metres.
+        count: points of an edge, at least 2.
+
+    Returns:
+        (N, 12 count, 3) in the frame dst.
+
+    Raises:
+        UsageError: sizes do not fit.
+    """
+    ends = corners(poses, lwh_m)[:, EDGES]  # (N, 12, 2, 3)
+    share = np.linspace(0.0, 1.0, count)[:, None]
+    points = ends[:, :, :1] + share * (ends[:, :, 1:] - ends[:, :, :1])
+    return np.asarray(points.reshape(len(ends), -1, 3))

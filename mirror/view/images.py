@@ -245,8 +245,9 @@ def _overlay(frame: Frame, against: Frame | None, camera: str) -> dict[str, Any]
 
 
 def _trace_boxes(frame: Frame, camera: str) -> list[dict[str, Any]]:
-    """Return the edges of the visible boxes, projected through the lens of the image, as paths in pixels."""
-    lens = frame.images[camera].camera_model
+    """Return the edges of the visible boxes, where the rows of the image see them, as paths in pixels."""
+    image = frame.images[camera]
+    lens, velocity = image.camera_model, frame.boxes("world").velocity_mps
     boxes = frame.boxes(f"camera:{camera}")
     projected = project_boxes(lens, boxes.pose, boxes.size_m)
     fraction = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
@@ -258,8 +259,13 @@ def _trace_boxes(frame: Frame, camera: str) -> list[dict[str, Any]]:
             continue
         ends = projected.edges_m[row]
         ends = ends[np.isfinite(ends).all(axis=(1, 2))]
-        points = lens.project(ends[:, None, 0] * (1 - fraction) + ends[:, None, 1] * fraction)
-        path = "".join(_polyline(line) for line in points.uv_px)
+        points = ends[:, None, 0] * (1 - fraction) + ends[:, None, 1] * fraction
+        if image.shutter.is_rolling:
+            world = image.world_SE3_camera.transform(points.reshape(-1, 3))[0]
+            lines = image.project_moving(world, velocity[row]).reshape(*points.shape[:2], 2)
+        else:
+            lines = lens.project(points).uv_px
+        path = "".join(_polyline(line) for line in lines)
         category = boxes.category[row]
         traced.append({"path": path, "category": category, "colour": colours[category]})
     return traced

@@ -98,6 +98,7 @@ class Builder:
     lenses: Mapping[str, Camera] = field(default_factory=dict)
     rig_id: str = "rig"
     scenes: dict[str, Roi] = field(default_factory=dict)
+    shutter: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.layout = Layout(self.root)
@@ -260,7 +261,7 @@ class Builder:
         return self.size if lens is None else (lens.width_px, lens.height_px)
 
     def _lens(self, camera: str) -> dict[str, Any]:
-        return asdict(self.lenses[camera]) if camera in self.lenses else {}
+        return {**(asdict(self.lenses[camera]) if camera in self.lenses else {}), **self.shutter}
 
     def _ledger(self, drive_id: str, traversal_id: str | None, item: Pass) -> dict[str, object]:
         duration = (item.exit_ns - item.entry_ns) / SECOND

@@ -9,7 +9,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.dataset.image import Image
-from mirror.geometry.boxes import EDGES, corners
+from mirror.geometry.boxes import edge_points
 from mirror.geometry.cameras import Camera
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
@@ -17,7 +17,6 @@ from mirror.geometry.rolling_shutter import RollingShutter, project_rolling
 from mirror.protocols.views.view import RenderView, RollingDirection, ViewShutter
 
 _GRID: Final = 33
-_EDGE_POINTS: Final = np.linspace(0.0, 1.0, 5)
 
 
 class LineTimes(NamedTuple):
@@ -75,12 +74,17 @@ def plan_shutter(image: Image, final: Camera, camera_SE3_moved: Poses | None = N
     ends = image.world_SE3_camera_at([times.first_ns, times.last_ns])
     if camera_SE3_moved is not None:
         ends = ends @ camera_SE3_moved
+    return make_view_shutter(shutter, times, ends)
+
+
+def make_view_shutter(shutter: RollingShutter, times: LineTimes, world_SE3_ends: Poses) -> ViewShutter:
+    """Make the shutter of a view from the times of its first and last lines, and the two poses at these."""
     return ViewShutter(
         direction=cast(RollingDirection, shutter.direction),
         first_ns=times.first_ns,
         last_ns=times.last_ns,
-        world_SE3_first=ends[:1],
-        world_SE3_last=ends[1:],
+        world_SE3_first=world_SE3_ends[:1],
+        world_SE3_last=world_SE3_ends[1:],
     )
 
 
@@ -96,9 +100,7 @@ def rolling_hull_points(view: RenderView, world_SE3_box: Poses, size_m: Float64,
     shutter = view.shutter
     if shutter is None:
         raise ValueError("a view with a global shutter")
-    ends = corners(world_SE3_box, size_m[None])[0][EDGES]  # (E, 2, 3)
-    points = ends[:, :1] + _EDGE_POINTS[:, None] * (ends[:, 1:] - ends[:, :1])
-    points = points.reshape(-1, 3)
+    points = edge_points(world_SE3_box, size_m[None])[0]
     velocity = np.nan_to_num(np.asarray(velocity_mps, np.float64))
     poses = Poses(
         np.concatenate([shutter.world_SE3_first.rotation, shutter.world_SE3_last.rotation]),

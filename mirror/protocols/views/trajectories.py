@@ -11,13 +11,15 @@ import numpy as np
 
 from mirror.arrays import Int64
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.image import Image
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import COLUMNS, Poses
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.plan import render_path
-from mirror.protocols.views.view import RenderView
+from mirror.protocols.views.rolling import LineTimes, fit_line_times, make_view_shutter
+from mirror.protocols.views.view import RenderView, ViewShutter
 
 GROUP: Final = "trajectory"
 _SECOND_NS: Final = 1_000_000_000
@@ -208,10 +210,13 @@ def plan_views_along(
             f"no camera {', '.join(unknown)}", place=f"cameras of {traversal_id}", expected=", ".join(sorted(images))
         )
     row = traversal.table("traversals", ["scene_id", "light", "weather"]).to_pylist()[0]
-    rig = [
-        (camera, final_camera(images[camera].camera_model, pixels), images[camera].calibration.ego_SE3_camera)
-        for camera in (cameras or images)
-    ]
+    rig = []
+    for camera in cameras or images:
+        image = images[camera]
+        lens = final_camera(image.camera_model, pixels)
+        rolls = pixels.shutter == "calibrated" and image.shutter.is_rolling
+        times = fit_line_times(image.camera_model, image.shutter, lens) if rolls else None
+        rig.append((camera, lens, image, times))
     return tuple(
         RenderView(
             path=render_path(GROUP, traversal_id, camera, int(stamp)),
@@ -224,8 +229,17 @@ def plan_views_along(
             light=row["light"],
             weather=row["weather"],
             **lens.to_row(),
-            world_SE3_camera=trajectory.world_SE3_ego[index] @ ego_SE3_camera,
+            world_SE3_camera=trajectory.world_SE3_ego[index] @ image.calibration.ego_SE3_camera,
+            shutter=None if times is None else _shutter_along(trajectory, int(stamp), image, times),
         )
         for index, stamp in enumerate(trajectory.timestamps_ns)
-        for camera, lens, ego_SE3_camera in rig
+        for camera, lens, image, times in rig
     )
+
+
+def _shutter_along(trajectory: VehicleTrajectory, stamp_ns: int, image: Image, times: LineTimes) -> ViewShutter:
+    """The rolling shutter of a view at a time of a trajectory; beyond its ends the vehicle keeps its velocity."""
+    stamps = stamp_ns + np.round([times.first_ns, times.last_ns]).astype(np.int64)
+    egos = interpolate(trajectory.timestamps_ns, trajectory.world_SE3_ego, stamps, extrapolate=True)
+    ends = egos @ image.calibration.ego_SE3_camera
+    return make_view_shutter(image.shutter, times, ends)

@@ -332,3 +332,17 @@ def test_a_huffman_table_that_is_cut_off_is_refused(cut: int) -> None:
     for function in (strip_metadata, list_metadata):
         with pytest.raises(DatasetError, match="a broken Huffman table"):
             function(before_scan(PLAIN, segment(0xC4, table[:-cut])), "a.jpg")
+
+
+@pytest.mark.parametrize("length", range(8))
+@pytest.mark.parametrize(("colour", "channels", "right"), [(0, 1, 2), (2, 3, 6), (4, 2, None), (6, 4, None)])
+def test_a_transparent_colour_has_the_length_of_its_format(
+    colour: int, channels: int, right: int | None, length: int
+) -> None:
+    """An image with an alpha channel has no transparent colour, whose bytes would hold something else."""
+    head = b"IHDR", struct.pack(">IIBBBBB", 3, 2, 8, colour, 0, 0, 0)
+    rows = (b"IDAT", zlib.compress(b"".join(b"\0" + bytes(range(9, 9 + 3 * channels)) for _ in range(2))))
+    data = png_of(head, (b"tRNS", b"\7" * length), rows, END)
+    is_kept = length == right
+    assert ("a transparency of a wrong length" in list_metadata(data, "a.png")) == (length > 0 and not is_kept)
+    assert (b"tRNS" in strip_metadata(data, "a.png")) == is_kept

@@ -45,9 +45,9 @@ from benchmarks.mutants.selection import (
     RecordedTest,
     count_imports,
     find_importers,
+    likeliest_files,
     may_change_kernels,
     select_tests,
-    take_first,
 )
 from benchmarks.mutants.trees import forget_kernels, link_tree, read_stamps, replace_file
 from benchmarks.report import OUT
@@ -77,6 +77,7 @@ _BAR: Final = 0.9
 # A test may take ten times as long as without a mutant, plus the first time; plus the second where kernels compile.
 _PATIENCE_S: Final = 10.0
 _COMPILING_S: Final = 90.0
+_FIRST_LIMIT_S: Final = 30.0
 # Tests of speed fail on a busy machine.
 _WORDS: Final = ("-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist", "--hypothesis-seed=0",
                  "-p", "benchmarks.mutants.plugin", "-k", "not fast_enough")  # fmt: skip
@@ -95,6 +96,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=1, help="mutants that run at once, each on a core")
     parser.add_argument("--state", type=Path, default=OUT / "mutants", help="folder of the copies of the tree")
     parser.add_argument("--rooms", nargs="+", choices=list(ROOMS), default=list(ROOMS), help="whose mutants run")
+    parser.add_argument("--first-only", action="store_true", help="do not run the rest against what survives")
     parser.add_argument("--fresh", action="store_true", help="delete the stored outcomes and run all mutants")
     parser.add_argument("--again", action="store_true", help="run the survivors without a reason once more")
     parser.add_argument("--report", action="store_true", help="run nothing")
@@ -115,11 +117,13 @@ def main(argv: list[str] | None = None) -> int:
         run = _Run(options.state.resolve(), outcomes, options.workers, options.first_s)
         try:
             run.begin()
-            for room in options.rooms:
-                run.record(room)
-                run.try_mutants([one for one in fresh if _room(one.file) == room], options.hours, rest=False)
-            begun = [one for one in wanted if not outcomes.get(one.name, {"complete": True})["complete"]]
-            run.try_mutants(begun, options.hours, rest=True)
+            run.try_mutants(fresh, options.hours, rest=False)
+            for room in () if options.first_only else options.rooms:
+                begun = [one for one in wanted if not outcomes.get(one.name, {"complete": True})["complete"]]
+                survivors = [one for one in begun if _room(one.file) == room]
+                if survivors:
+                    run.record(room)
+                    run.try_mutants(survivors, options.hours, rest=True)
         finally:
             run.end()
     return _report(present, len(sample) - len(present), outcomes, reasons)
@@ -196,6 +200,9 @@ class _Run:
         self._texts: dict[str, str] = {}
         self._tests: dict[str, list[RecordedTest]] = {}
         self._at_import: set[str] = set()
+        # Tests, or test files, that pass without a mutant, and tests that do not.
+        self._passing: set[str] = set()
+        self._failing: set[str] = set()
 
     def hours(self) -> float:
         """Return the processor time that all outcomes took."""
@@ -306,51 +313,102 @@ class _Run:
         def attempt(mutant: Mutant) -> None:
             if self.hours() < hours:
                 with self._worker() as worker:
-                    self._try_mutant(worker, mutant, rest=rest)
+                    (self._try_rest if rest else self._try_first)(worker, mutant)
 
         self._each(attempt, some)
 
-    def _try_mutant(self, worker: _Worker, mutant: Mutant, *, rest: bool) -> None:
+    def _try_first(self, worker: _Worker, mutant: Mutant) -> None:
+        """Run the test files whose names and imports are nearest to the mutant, within the processor time for them."""
+        folders = tuple(f"{folder}/" for folder in ROOMS[_room(mutant.file)])
+        tests = (name for name in self._texts if name.startswith(folders) and "/test_" in name)
+        kernels = may_change_kernels(self._texts[mutant.file], mutant.function, at_import=False)
+        more_s = _COMPILING_S * kernels
+        files = likeliest_files(tests, mutant.file, count_imports(mutant.file, self._importers))
+        spent_s = 0.0
+        while True:
+            self._make_tree(worker, mutant, kernels=kernels)
+            plan = {"files": files, "without": sorted(self._failing), "limit_s": _FIRST_LIMIT_S + more_s}
+            plan["budget_s"] = self._first_s + more_s
+            code, cpu_s, output = self._run_tests(worker, worker.tree, files, plan)
+            spent_s += cpu_s
+            if code in (_PASSED, _NO_TESTS) or self._passes_clean(worker, _culprit(output, code), files, plan):
+                killed = code not in (_PASSED, _NO_TESTS)
+                self._store(mutant, code if killed else 0, spent_s, output, complete=killed)
+                return
+
+    def _passes_clean(self, worker: _Worker, culprit: str, files: Sequence[str], plan: Mapping[str, Any]) -> bool:
+        """Return whether the test that fails with a mutant passes without; one that fails is left out from now on."""
+        name = culprit.partition(" ")[2].partition(" - ")[0]
+        if culprit in self._passing or name in self._passing:
+            return True
+        if "::" in name:
+            clean: Mapping[str, Any] = {"order": [name], "limit_s": {name: _COMPILING_S}}
+        elif name.startswith("tests/"):
+            clean = {"order": [], "limit_s": {}}
+        else:
+            # A signal has ended the run.
+            clean, name = plan, f"{culprit} {files}"
+        asked = [name.partition("::")[0]] if name.startswith("tests/") else files
+        code, _, _ = self._run_tests(worker, self._clean, asked, clean)
+        if code in (_PASSED, _NO_TESTS):
+            self._passing.add(name)
+            return True
+        print("FAILS    without a mutant:", name, flush=True)
+        if "::" not in name:
+            raise RuntimeError(f"{name} fails without a mutant")
+        self._failing.add(name)
+        return False
+
+    def _try_rest(self, worker: _Worker, mutant: Mutant) -> None:
+        """Run all tests that can notice the mutant."""
         known = [test for folder in ROOMS[_room(mutant.file)] for test in self._tests[folder]]
         at_import = f"{mutant.file}:{mutant.function}" in self._at_import
         kernels = may_change_kernels(self._texts[mutant.file], mutant.function, at_import=at_import)
         distances = count_imports(mutant.file, self._importers)
         able = select_tests(known, mutant.file, mutant.function, distances, compiled=kernels, at_import=self._at_import)
-        first = take_first(able, self._first_s)
-        done = {test.name for test in first}
-        tests = [test for test in able if test.name not in done] if rest else first
+        tests = [test for test in able if test.name not in self._failing]
         code, cpu_s, output = 0, 0.0, ""
         if tests:
-            link_tree(self._clean, worker.tree)
-            replace_file(worker.tree / mutant.file, mutant.applied(self._texts[mutant.file]))
-            for importer in distances if kernels else ():
-                forget_kernels(worker.tree / importer)
-            code, cpu_s, output = self._run_tests(worker, tests, _PATIENCE_S + _COMPILING_S * kernels)
-            if read_stamps(self._clean) != self._stamps:
-                raise RuntimeError(f"{self._clean} is not as it was: a test wrote through a link; delete the folder")
-        self._store(mutant, code, cpu_s, output, complete=bool(code) or rest or len(first) == len(able))
+            self._make_tree(worker, mutant, kernels=kernels)
+            patience_s = _PATIENCE_S + _COMPILING_S * kernels
+            limits = {test.name: patience_s + 10 * (test.cpu_s + sum(test.fixtures.values())) for test in tests}
+            plan = {"order": [test.name for test in tests], "limit_s": limits}
+            files = list(dict.fromkeys(test.file for test in tests))
+            code, cpu_s, output = self._run_tests(worker, worker.tree, files, plan)
+        self._store(mutant, code, cpu_s, output, complete=True)
 
-    def _run_tests(self, worker: _Worker, tests: Sequence[RecordedTest], patience_s: float) -> tuple[int, float, str]:
-        limits = {test.name: patience_s + 10 * (test.cpu_s + sum(test.fixtures.values())) for test in tests}
-        plan = {"order": [test.name for test in tests], "limit_s": limits}
-        files = list(dict.fromkeys(test.file for test in tests))
-        code, cpu_s, output = worker.run(worker.tree, ["-x", *files], plan)
+    def _make_tree(self, worker: _Worker, mutant: Mutant, *, kernels: bool) -> None:
+        link_tree(self._clean, worker.tree)
+        replace_file(worker.tree / mutant.file, mutant.applied(self._texts[mutant.file]))
+        for importer in count_imports(mutant.file, self._importers) if kernels else ():
+            forget_kernels(worker.tree / importer)
+
+    def _run_tests(
+        self, worker: _Worker, tree: Path, files: Sequence[str], plan: Mapping[str, Any]
+    ) -> tuple[int, float, str]:
+        code, cpu_s, output = worker.run(tree, ["-x", *files], plan)
         # A mutant that breaks the import of shared fixtures; anything else of these codes is a fault of this program.
         imports = code == _USAGE and "while loading conftest" in output
-        if code > _INTERRUPTED and not imports:
+        if code not in (_PASSED, _FAILED, _INTERRUPTED, _NO_TESTS) and code > 0 and not imports:
             raise RuntimeError(f"pytest ends with {code}:\n{output[-3000:]}")
+        if read_stamps(self._clean) != self._stamps:
+            raise RuntimeError(f"{self._clean} is not as it was: a test wrote through a link; delete the folder")
         return code, cpu_s, output
 
     def _store(self, mutant: Mutant, code: int, cpu_s: float, output: str, *, complete: bool) -> None:
-        by = next((line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))), f"exit {code}")
         with self._lock:
             before = self._outcomes.get(mutant.name, {"cpu_s": 0.0})["cpu_s"]
             outcome = {"mutant": mutant.name, "file": mutant.file, "killed": code != 0, "complete": complete}
-            outcome |= {"cpu_s": round(before + cpu_s, 1), "by": by[:200] if code else None}
+            outcome |= {"cpu_s": round(before + cpu_s, 1), "by": _culprit(output, code)[:200] if code else None}
             self._outcomes[mutant.name] = outcome
             append_line(_OUTCOMES, json.dumps(outcome))
         state = "killed  " if code else "SURVIVED" if complete else "so far survived"
         print(state, f"{cpu_s:.1f} s", mutant.file, mutant.name, flush=True)
+
+
+def _culprit(output: str, code: int) -> str:
+    """Return the line of pytest's summary that names the first failure, or the exit code."""
+    return next((line for line in output.splitlines() if line.startswith(("FAILED ", "ERROR "))), f"exit {code}")
 
 
 def _room(file: str) -> str:

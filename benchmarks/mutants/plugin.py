@@ -1,7 +1,8 @@
 """The pytest plug-in of runs with mutants: records tests, or runs those of a plan and ends those that hang.
 
-The environment variable MIRROR_MUTANTS names a JSON file: ``{"record": file}`` or ``{"order": [test], "limit_s": {test:
-processor time}}``.
+The environment variable MIRROR_MUTANTS names a JSON file. ``{"record": file}`` records. ``{"order": [test], "limit_s":
+{test: processor time}}`` runs some tests. ``{"files": [test file], "without": [test], "limit_s": processor time of a
+test, "budget_s": processor time after which no test begins}`` runs all but some tests of some files.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _STARTS: Final = ("subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn",
 
 def pytest_configure(config: pytest.Config) -> None:
     """Register the part that records, or the part that follows a plan."""
-    config.pluginmanager.register(_RECORDER or _Follower())
+    config.pluginmanager.register(_RECORDER or (_Follower() if "order" in _PLAN else _Sampler()))
 
 
 class _Follower:
@@ -41,11 +42,32 @@ class _Follower:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        limit_s = _PLAN["limit_s"][item.nodeid]
-        # The kernel ends a process that has used more, also within compiled code.
-        soft = math.ceil(time.process_time() + limit_s)
-        resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.getrlimit(resource.RLIMIT_CPU)[1]))
+        _limit(_PLAN["limit_s"][item.nodeid])
         return (yield)
+
+
+class _Sampler:
+    """Runs the tests of some files, one file after the other, until they have taken their processor time."""
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        rank = {file: index for index, file in enumerate(_PLAN["files"])}
+        without = set(_PLAN["without"])
+        known = [item for item in items if item.nodeid not in without]
+        items[:] = sorted(known, key=lambda item: rank[item.nodeid.partition("::")[0]])
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> bool | None:
+        if _cpu_s() > _PLAN["budget_s"]:
+            return True
+        _limit(_PLAN["limit_s"])
+        return None
+
+
+def _limit(limit_s: float) -> None:
+    """Let the operating system end this process when it has used more processor time, also within compiled code."""
+    soft = math.ceil(time.process_time() + limit_s)
+    resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.getrlimit(resource.RLIMIT_CPU)[1]))
 
 
 class _Recorder:

@@ -11,6 +11,8 @@ from typing import Any, Final
 from benchmarks.mutants.recorder import is_compiled
 
 _FAR: Final = 1_000
+_UNRELATED: Final = 6
+_FILES: Final = 4
 
 
 @dataclass(frozen=True)
@@ -84,21 +86,19 @@ def select_tests(
     return sorted(chosen, key=unlikely)
 
 
-def take_first(tests: Iterable[RecordedTest], budget_s: float) -> list[RecordedTest]:
-    """Return the first tests, in their order, that together take no more processor time; at least one.
+def likeliest_files(files: Iterable[str], changed: str, distances: Mapping[str, int]) -> list[str]:
+    """Return the few test files whose names and imports are nearest to a changed file, the nearest first.
 
-    A fixture counts once for a test file. Tests that take more than remains are passed over.
+    Args:
+        files: paths of the test files of the changed file's room.
+        changed: path of the changed file.
+        distances: number of imports between the changed file and each file that imports it, as of `count_imports`.
     """
-    taken: list[RecordedTest] = []
-    made: set[str] = set()
-    left = budget_s
-    for test in tests:
-        cost = test.cpu_s + sum(seconds for fixture, seconds in test.fixtures.items() if fixture not in made)
-        if cost <= left or not taken:
-            taken.append(test)
-            made |= set(test.fixtures)
-            left -= cost
-    return taken
+
+    def score(file: str) -> tuple[int, str]:
+        return min(distances.get(file, _UNRELATED), _UNRELATED) - _shared(file, changed), file
+
+    return sorted(files, key=score)[:_FILES]
 
 
 def count_imports(changed: str, importers: Mapping[str, Iterable[str]]) -> dict[str, int]:

@@ -16,9 +16,9 @@ from benchmarks.mutants.selection import (
     RecordedTest,
     count_imports,
     find_importers,
+    likeliest_files,
     may_change_kernels,
     select_tests,
-    take_first,
 )
 from benchmarks.mutants.server import session_s
 from benchmarks.mutants.trees import link_tree, read_stamps, replace_file
@@ -125,10 +125,17 @@ def test_importers_of_a_file_that_may_be_compiled_run_after_the_callers() -> Non
     assert select(10, compiled=True) == ["test_quick", "test_slow", "test_other", "test_user", "test_verb"]
 
 
-def test_the_first_tests_fit_the_budget_and_a_fixture_counts_once() -> None:
-    tests = [recorded("a", street=5.0), recorded("b", s=20.0), recorded("c", street=5.0), recorded("d", s=3.0)]
-    assert [test.name for test in take_first(tests, 7.0)] == ["a", "c"]
-    assert [test.name for test in take_first(tests, 0.1)] == ["a"]
+def test_the_likeliest_files_are_nearest_by_name_and_by_imports() -> None:
+    files = ["tests/ingest/test_run.py", "tests/metrics/boxes/test_areas.py", "tests/metrics/boxes/test_iou.py"]
+    files += [f"tests/metrics/test_{number}.py" for number in range(9)]
+    distances = {"mirror/metrics/boxes/iou.py": 0, "tests/metrics/boxes/test_areas.py": 1, "tests/metrics/test_3.py": 1}
+    found = likeliest_files(files, "mirror/metrics/boxes/iou.py", distances)
+    assert found[:3] == [
+        "tests/metrics/boxes/test_areas.py",
+        "tests/metrics/test_3.py",
+        "tests/metrics/boxes/test_iou.py",
+    ]
+    assert len(found) == 4
 
 
 def test_importers_are_direct_and_indirect_named_in_strings_or_through_a_package() -> None:
@@ -312,5 +319,15 @@ def test_the_plugin_records_calls_and_runs_a_plan_within_its_limits(tmp_path: Pa
     assert follow("test_hang", "test_fixture") == 0
     assert follow("test_failure") == 1
     assert follow("test_gone") == 5
+
+    def sample(budget_s: float, *without: str) -> int:
+        files = ["tests/test_a.py", "tests/test_b.py"]
+        left_out = [f"{file}::{name}" for file in files for name in without]
+        return run_plugin(tmp_path, {"files": files, "without": left_out, "limit_s": 9.0, "budget_s": budget_s})
+
+    assert sample(99.0) == 1
+    assert sample(99.0, "test_failure") == 0
+    # No test begins.
+    assert sample(0.0) == 0
     replace_file(tmp_path / "mirror" / "a.py", MODULE.replace("while value", "while not value"))
     assert follow("test_hang") == -signal.SIGXCPU

@@ -16,7 +16,7 @@ from mirror.evaluation.compare import compare
 from mirror.evaluation.report import write_report
 from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.protocols.document import load_protocol, protocol_names
-from mirror.protocols.ranking import ALL, Gate, Ranking
+from mirror.protocols.ranking import ALL, Gate, Ranking, group_title
 from mirror.protocols.views import RenderView
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
 
@@ -98,7 +98,7 @@ def test_report_comparison_and_board_lead_with_the_mean_over_groups(
     write_report(done, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert page.count('class="tile"') == 1
-    assert f"<b>{values[ALL, 'ssim']:.4f}</b><span>all: ssim; ranks results" in page
+    assert f"<b>{values[ALL, 'ssim']:.4f}</b><span>{group_title(ALL)}: SSIM; ranks results" in page
 
     _, (other,) = compare([tmp_path / "fine-results", tmp_path / "coarse-results"])
     leading = other.rows[0]

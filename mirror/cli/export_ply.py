@@ -80,7 +80,7 @@ def main(argv: Sequence[str]) -> int:
     if arguments.out.suffix == ".spz":
         require_gsply()
     document = read_reconstruction(arguments.model)
-    whole = open_dataset(arguments.dataset)
+    whole = open_dataset(arguments.dataset).with_layers(poses=document.poses)
     require_matching_split(whole, document.split, document)
     if arguments.appearance is not None:
         require_known_appearance(arguments.appearance, whole, document.trained)

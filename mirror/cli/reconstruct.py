@@ -64,6 +64,9 @@ class Arguments:
     ] = None
     """plane-sweep, mvsnet, patchmatchnet, sparse: estimate the layers of depth and points that are absent.
     dataset: use the layers of the dataset. SOURCE@VERSION: use this layer."""
+    poses: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
+    """Layer of poses, such as aligned@1 of mirror align. Renders of trajectories, viewers and exports use it too; views
+    of protocols have recorded poses, so that such a model is not scored by them."""
     calibrations: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
     """Layer of calibrations, such as refined@1 of mirror calibrate refine."""
     boxes: Annotated[str | None, help_text(default="the only one", metavar="SOURCE@VERSION")] = None
@@ -136,7 +139,7 @@ def main(argv: Sequence[str]) -> int:
     else:
         with naming_option(Path(arguments.dataset), "--layers FOLDER"):
             dataset = open_to_write(arguments.dataset)
-    dataset = dataset.with_layers(calibrations=arguments.calibrations)
+    dataset = dataset.with_layers(poses=arguments.poses, calibrations=arguments.calibrations)
     width_px = defaults.width_px if arguments.width is None else arguments.width
     scaled = protocol.model_copy(update={"pixels": protocol.pixels.model_copy(update={"max_width_px": width_px})})
     scene = _scene(dataset, arguments.split, arguments.scene)
@@ -212,6 +215,10 @@ def _print(result: ReconstructionResult, scene: str, arguments: Arguments) -> No
         return
     file = f" --method {arguments.method}" if is_file_reference(arguments.method) else ""
     split = f"--split {arguments.split}{_protocol_options(arguments)}{file}"
+    if arguments.poses not in (None, "recorded"):
+        # Protocols plan their views with recorded poses.
+        print(f"next: mirror view {arguments.dataset} {result.folder}")
+        return
     print(f"next: mirror render {arguments.dataset} {result.folder} {split} --out SUBMISSION")
 
 

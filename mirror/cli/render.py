@@ -179,6 +179,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     device = _choose_device(arguments, models)
     ((scene, model),) = models.items()
     name, document = model.name, model.document
+    dataset = dataset.with_layers(poses=document.poses)
     require_matching_split(dataset, document.split, document)
     layer = arguments.calibrations or document.calibrations
     scene_dataset = dataset.where(scene=scene).with_layers(calibrations=layer)

@@ -148,6 +148,7 @@ def _view_model(dataset: Dataset, arguments: Arguments) -> int:
         raise UsageError("no model", place="MODEL", expected="the folder of a model")
     require_listening(arguments.host, arguments.port)
     document = read_reconstruction(model)
+    dataset = dataset.with_layers(poses=document.poses)
     require_matching_split(dataset, document.split, document)
     if arguments.scene not in (None, document.scene):
         raise UsageError(f"the model is of {document.scene}", place="--scene", expected=document.scene)

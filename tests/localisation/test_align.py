@@ -22,6 +22,7 @@ from mirror.geometry import (
 )
 from mirror.geometry.poses import to_pose_numbers
 from mirror.localisation.alignment.layer import correct_track
+from mirror.localisation.alignment.run import find_steady
 from mirror.recordings.assembly.assemble import encode_poses
 from mirror.recordings.calibration import to_calibration
 from mirror.recordings.folder_lens import write_calibrations
@@ -135,6 +136,19 @@ def test_passes_come_together_and_the_one_that_shows_nothing_alike_is_named(
     assert "--version NAME" in capsys.readouterr().err
 
 
+def test_a_model_of_aligned_poses_renders_a_drive(dataset: Path, tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    shares = ("--method", "by-scene", "--train", "1", "--val", "0", "--test", "0")
+    assert main(["split", str(dataset), "all", *shares]) == ExitCode.DONE
+    model = tmp_path / "model"
+    words = ("--split", "all", "--poses", "aligned@1", "--no-masks", "--width", "64", "--steps", "3", "--threads", "1")
+    assert main(["reconstruct", str(dataset), *words, "--out", str(model)]) == ExitCode.DONE
+    assert json.loads((model / "reconstruction.json").read_text())["poses"] == "aligned@1"
+    drive = ("--trajectory", "lane-shift:0.5", "--width", "64", "--hz", "2", "--out", str(tmp_path / "drive"))
+    assert main(["render", str(dataset), str(model), *drive]) == ExitCode.DONE
+    assert any((tmp_path / "drive").rglob("*.png"))
+
+
 def test_a_track_is_corrected_between_and_beyond_the_images() -> None:
     stamps = np.arange(0, 110, 10) * 1_000_000
     track = Poses(np.tile([1.0, 0.0, 0.0, 0.0], (11, 1)), np.column_stack([np.arange(11.0), np.zeros((11, 2))]))
@@ -144,3 +158,12 @@ def test_a_track_is_corrected_between_and_beyond_the_images() -> None:
     both, poses = correct_track(stamps, track, times, found)
     assert both.tolist() == sorted({*stamps.tolist(), *times.tolist()})
     assert np.allclose(poses.translation[:, 1], 2.0) and np.allclose(poses.translation[:, 0], both / 10_000_000)
+
+
+def test_images_in_a_wrong_place_are_found_at_the_end_of_a_pass_and_within_it() -> None:
+    """Two images by night matched a wrong place 2 and 6.5 m away; the error of the heading moves all others slowly."""
+    moved = np.column_stack([np.linspace(-2.0, -3.0, 30), np.linspace(-1.0, -2.2, 30), np.zeros(30)])
+    moved[-2:, 0] -= (1.8, 6.1)
+    moved[10, 1] += 3.0
+    assert np.flatnonzero(~find_steady(moved)).tolist() == [10, 28, 29]
+    assert find_steady(moved[:10]).all()

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from mirror.arrays import Float64, Int64
+from mirror.arrays import Bool, Float64, Int64
 from mirror.calibration.refinement.provenance import hash_inputs
 from mirror.calibration.statistics import require_scipy
 from mirror.dataset.dataset import Dataset
@@ -48,6 +48,9 @@ _SIGMA_M: Final = 1.0
 
 
 _LEAST_WAY_M: Final = 8.0
+_WINDOW: Final = 5
+_JUMP_M: Final = 1.0
+"""Recorded positions of neighbouring images share their error: larger jumps against them are wrong matches."""
 
 
 def align_passes(
@@ -168,6 +171,8 @@ class _SceneAlignment:
         placed = {}
         for number in joined:
             one, rows = passes[number], seen[number]
+            places = similarity.move(found.world_SE3_camera.translation[rows])
+            rows = rows[find_steady(places - scene.world_SE3_camera.translation[found.used[rows]])]
             images = found.used[rows]
             cameras = similarity.move_poses(found.world_SE3_camera[rows])
             stamps, poses = _ego_track(one, scene, images, cameras)
@@ -226,6 +231,19 @@ def _fit_passes(scene: SceneImages, found: ImageMap, rows: Sequence[Int64]) -> S
     plain = Similarity(fit.scale, fit.turn, np.zeros(3))
     offsets: Float64 = np.array([(fixes[own] - plain.move(places[own])).mean(axis=0) for own in rows])
     return replace(plain, shift=np.median(offsets, axis=0))
+
+
+def find_steady(moved_m: Float64) -> Bool:
+    """Mark the images of a pass that moved about as their neighbours did; an image in a wrong place does not.
+
+    Args:
+        moved_m: (N, 3) how far each image moved from its recorded place, in order of time.
+    """
+    steady = np.ones(len(moved_m), np.bool_)
+    for number in range(len(moved_m)):
+        near = moved_m[max(0, number - _WINDOW) : number + _WINDOW + 1]
+        steady[number] = bool(np.linalg.norm(moved_m[number] - np.median(near, axis=0)) <= _JUMP_M)
+    return steady
 
 
 def _ego_track(one: PassImages, scene: SceneImages, images: Int64, cameras: Poses) -> tuple[Int64, Poses]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +30,7 @@ from mirror.schema.road_features import SignalState as SignalState
 from mirror.schema.rollout_tables import ROAD_MAP, read_header
 
 _METADATA: Final = b"mirror_road_map"
+_MAPS_HELD: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +117,9 @@ def write_road_map(path: str | Path, road_map: RoadMap) -> None:
     write_bytes(Path(path), encode_road_map(road_map))
 
 
+@lru_cache(maxsize=_MAPS_HELD)
 def encode_road_map(road_map: RoadMap) -> bytes:
-    """Encode a road map as GeoParquet."""
+    """Encode a road map as GeoParquet; the bytes of the last few maps are held."""
     rows: list[dict[str, Any]] = [
         *(_lane_row(road_map.lanes[name]) for name in sorted(road_map.lanes)),
         *(_area_row(area) for area in road_map.drivable),

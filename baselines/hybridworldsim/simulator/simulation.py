@@ -162,7 +162,7 @@ class Simulation:
         """Return points (K, 2) of the route ahead of the ego, in the world."""
         ego, way = self.now.ego, self.route.way
         along = way.nearest_m(np.array([ego.x_m, ego.y_m])) + np.arange(0.0, reach_m, step_m)
-        return np.array([way.at(min(place, way.length_m)) for place in along])
+        return way.points_at(np.minimum(along, way.length_m))
 
     def _ending(self) -> Ending | None:
         now = self.now

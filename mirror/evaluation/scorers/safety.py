@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
+from mirror.errors import MirrorError
 from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, compute_figures
 from mirror.evaluation.result import GroupFigure
 from mirror.evaluation.scorers.scorer import Values
@@ -24,6 +26,7 @@ from mirror.schema.scenario import Scenario, read_scenario
 _DRIVING_SCORES: Final = ("epdms", "pdms")
 """Scores of a drive as a whole, which a suite states for drives that the policy ends."""
 
+_MAPS_HELD: Final = 4
 TOO_FEW_SCENARIOS: Final = f"fewer than {MIN_BLOCKS} scenarios"
 
 
@@ -58,7 +61,21 @@ def score_folder(folder: Path, path: str, rollout: Rollout, protocol: Protocol) 
         SchemaError: a file does not follow its schema.
     """
     log, scenario = read_state_log(folder / STATES_FILE), read_scenario(folder / SCENARIO_FILE)
-    return score_drive(log, read_road_map(folder / MAP_FILE), scenario, path, rollout, protocol)
+    return score_drive(log, _read_map(folder / MAP_FILE), scenario, path, rollout, protocol)
+
+
+def _read_map(file: Path) -> RoadMap:
+    """Read a map; the last few are held by their bytes, which the drives of a suite on one street share."""
+    try:
+        return _decode_map(file.read_bytes())
+    except (OSError, MirrorError):
+        # Raises again, with the path of the file.
+        return read_road_map(file)
+
+
+@lru_cache(maxsize=_MAPS_HELD)
+def _decode_map(data: bytes) -> RoadMap:
+    return read_road_map(MAP_FILE, data=data)
 
 
 def score_drive(

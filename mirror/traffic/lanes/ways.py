@@ -107,6 +107,11 @@ class Way:
         place = STEP_M * np.arange(len(self.points))
         return np.array([np.interp(along_m, place, self.points[:, axis]) for axis in (0, 1)])
 
+    def points_at(self, along_m: Float64) -> Float64:
+        """Return the points (N, 2) at lengths (N,)."""
+        place = STEP_M * np.arange(len(self.points))
+        return np.column_stack([np.interp(along_m, place, self.points[:, axis]) for axis in (0, 1)])
+
     def gap_m(self, point: Float64) -> float:
         """Return the distance between the way and a point (2,)."""
         return float(np.sqrt(np.min(np.sum((self.points - point) ** 2, axis=1))))

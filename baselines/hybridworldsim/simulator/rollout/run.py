@@ -6,6 +6,7 @@ import math
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
@@ -296,7 +297,7 @@ def append_states(log: StateLogWriter, street: Street, snapshot: Snapshot) -> No
 
 
 def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, out: Path) -> Rollout:
-    versions = {"mirror": __version__, **{name: version(name) for name in _PACKAGES}}
+    versions = {"mirror": __version__, **_list_package_versions()}
     threads = None
     if request.video or request.policy.cameras:
         threads = 1
@@ -325,6 +326,11 @@ def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, ou
         versions=versions,
         files=list_files(out),
     )
+
+
+@lru_cache(maxsize=1)
+def _list_package_versions() -> dict[str, str]:
+    return {name: version(name) for name in _PACKAGES}
 
 
 def describe_map(source: MapSource | None) -> str:

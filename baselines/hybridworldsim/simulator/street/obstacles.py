@@ -15,7 +15,7 @@ from mirror.errors import UsageError
 from mirror.metrics.safety import inside_area
 
 if TYPE_CHECKING:
-    from mirror.synth import Model
+    from mirror.synth import Model, SynthDrive
 
 _ABOVE_M: Final = 80.0
 _TOLERANCE_M: Final = 0.5
@@ -53,9 +53,7 @@ class Walls:
         """Prepare the surfaces of a street."""
         if street.drive is None:
             return cls(street, None, np.zeros((2, 0)), np.zeros((2, 0)))
-        model = street.drive.world.model
-        low, high = model.surface_bounds()
-        return cls(street, model, np.ascontiguousarray(low[:, :2].T), np.ascontiguousarray(high[:, :2].T))
+        return cls(street, street.drive.world.model, *_bounds_from_above(street.drive))
 
     def find(self, points: Float64) -> str | None:
         """Return the name of the wall over one of the points (N, 2), up to a person's height; None without a wall."""
@@ -79,6 +77,13 @@ class Walls:
             if label in solid:
                 return Label(label).name.lower()
         return None
+
+
+@lru_cache(maxsize=2)
+def _bounds_from_above(drive: SynthDrive) -> tuple[Float64, Float64]:
+    """The least and greatest x and y (2, S) of each fixed surface; a rollout has a street of its own, not a drive."""
+    low, high = drive.world.model.surface_bounds()
+    return np.ascontiguousarray(low[:, :2].T), np.ascontiguousarray(high[:, :2].T)
 
 
 def check_free(street: Street, walls: Walls, agent_id: str, category: str, box: Float64) -> None:

@@ -16,13 +16,24 @@ from mirror.evaluation.result import GroupFigure, Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
 from mirror.metrics.catalogue import find_measure
 from mirror.progress import ProgressReporter
-from mirror.protocols.document import load_protocol, protocol_names
+from mirror.protocols.document import commit_to_secret, load_protocol, protocol_names
 from mirror.protocols.ranking import ALL
-from mirror.schema.files import unwritable_error, write_json
+from mirror.schema.files import read_json, unwritable_error, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.problems import describe_problem, describe_problem_and_value
+from mirror.schema.suite_run import SUITE_FILE, Isolation, SuiteRun
 from mirror.version import __version__
-from mirror_leaderboard.entry import IMAGE_FOLDER, Cluster, Entry, Figure, Link, Measured, entry_key, load_entries
+from mirror_leaderboard.entry import (
+    COMMITMENT,
+    IMAGE_FOLDER,
+    Cluster,
+    Entry,
+    Figure,
+    Link,
+    Measured,
+    entry_key,
+    load_entries,
+)
 from mirror_leaderboard.images import copy_pairs
 from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.recount import require_recomputed_means
@@ -85,9 +96,10 @@ def add_result(
                 expected="the folder of the rollouts",
                 remedy="mirror leaderboard add RESULT ROLLOUTS, without --submission and --hidden",
             )
-        result = rescore_rollouts(result, path, Path(sources.dataset), sources.plan, progress)
+        run = _require_run_here(result, sources, path)
+        result = rescore_rollouts(result, path, Path(sources.dataset), sources.plan, progress, secret=sources.secret)
         entry = make_entry(result, dataset, file=path, setting=setting)
-        entry = entry.model_copy(update={"verified": sources.plan is not None})
+        entry = entry.model_copy(update={"verified": sources.plan is not None, "policy_run": run})
     elif sources is not None and sources.plan is not None:
         raise UsageError(
             f"the result is one of the protocol {result.protocol.name}",
@@ -123,6 +135,32 @@ def add_result(
     out = board / "entries" / f"measured-{_slug(entry.dataset)}-{_slug(entry.method)}-{entry.result_hash[:12]}.json"
     write_json(out, entry)
     return out
+
+
+def _require_run_here(result: Result, sources: Sources, path: Path) -> Isolation | None:
+    """Return how the organiser ran the policy; None: the participant did.
+
+    Raises:
+        RefusedError: the drives are not those of a sandbox or a container, or the suite ranks only such.
+    """
+    suite = result.protocol.suite
+    if not sources.ran_here:
+        if suite is not None and suite.is_secret:
+            raise RefusedError(
+                "driven controls do not show that a policy saw the images", file=path, place="--ran-here",
+                expected="a policy that the organiser ran",
+                remedy="run the policy yourself, in a sandbox or a container, and give --ran-here",
+            )  # fmt: skip
+        return None
+    file = Path(sources.dataset) / SUITE_FILE
+    run = read_json(file, SuiteRun) if file.is_file() else None
+    if run is None or run.isolation is None or run.protocol_hash != result.protocol_hash:
+        raise RefusedError(
+            "no drives of this suite with a policy that ran apart", file=file, place="isolation",
+            expected="a folder of `mirror simulate --suite` with --policy sandbox:COMMAND or container:IMAGE",
+            remedy="leave --ran-here out",
+        )  # fmt: skip
+    return run.isolation
 
 
 def read_result(path: Path) -> Result:
@@ -222,6 +260,9 @@ def _require_protocol(result: Result, file: Path) -> None:
             f"unknown protocol {name!r}", file=file, place="protocol.name", expected=f"one of {', '.join(known)}"
         )
     current = load_protocol(name)
+    commitment = _find_commitment(result)
+    if commitment is not None and current.suite is not None and current.suite.draw is not None:
+        current = commit_to_secret(current, commitment)
     if current.hash != result.protocol_hash:
         raise RefusedError(
             f"protocol {name} version {result.protocol.version} is not the board's version {current.version}",
@@ -230,6 +271,11 @@ def _require_protocol(result: Result, file: Path) -> None:
             expected=current.hash,
             remedy="evaluate the submission again with this version of the toolkit",
         )
+
+
+def _find_commitment(result: Result) -> str | None:
+    suite = result.protocol.suite
+    return None if suite is None or suite.draw is None else suite.draw.commitment
 
 
 def _make_figures(result: Result, file: Path) -> Iterator[Figure]:
@@ -291,7 +337,9 @@ def _list_remarks(figure: GroupFigure) -> Iterator[str]:
 def _list_options(result: Result) -> dict[str, str]:
     hidden = result.dataset.hidden_truth
     fitted = {"appearance": "fitted"} if result.submission.appearance.policy == "fitted" else {}
-    return {**result.options, **fitted, **({} if hidden is None else {"hidden truth": hidden[:12]})}
+    commitment = _find_commitment(result)
+    split = {} if commitment is None else {COMMITMENT: commitment}
+    return {**result.options, **fitted, **split, **({} if hidden is None else {"hidden truth": hidden[:12]})}
 
 
 def _list_groups(result: Result) -> tuple[str, ...]:

@@ -9,10 +9,10 @@ from functools import cached_property, partial
 from typing import Final, Literal
 
 from mirror.metrics.catalogue import MEASURES
-from mirror.protocols.document import load_protocol, protocol_names
+from mirror.protocols.document import Protocol, commit_to_secret, load_protocol, protocol_names
 from mirror.protocols.ranking import ALL, Ranking
 from mirror.schema.hashing import hash_document
-from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
+from mirror_leaderboard.entry import COMMITMENT, Entry, Figure, Measured, Reported
 from mirror_leaderboard.former import find_former
 from mirror_leaderboard.ranks import BoardRanks, rank_rows
 
@@ -74,7 +74,7 @@ class Board:
     @property
     def is_older(self) -> bool:
         """Return whether the entries were measured by another version of the protocol than the present one."""
-        return self.hashes is not None and load_protocol(self.protocol).hash != self.hashes[0]
+        return self.hashes is not None and _load_present(self.protocol, self.options).hash != self.hashes[0]
 
     @property
     def is_practice(self) -> bool:
@@ -86,7 +86,7 @@ class Board:
         """Version of the protocol that measured the entries; None for reported entries and unknown versions."""
         if self.hashes is None:
             return None
-        protocol = load_protocol(self.protocol)
+        protocol = _load_present(self.protocol, self.options)
         if protocol.hash == self.hashes[0]:
             return protocol.version
         former = find_former(self.hashes[0])
@@ -95,12 +95,12 @@ class Board:
     @cached_property
     def ranked_by(self) -> Column:
         """The column that the rows are sorted by."""
-        return _select_rank_column(_find_ranking(self.protocol, self.hashes), self.columns, self.entries)
+        return _select_rank_column(_find_ranking(self.protocol, self.hashes, self.options), self.columns, self.entries)
 
     @cached_property
     def ranks(self) -> BoardRanks | None:
         """The ranks of the rows; None for reported entries, and if the sorting column does not rank."""
-        ranking = _find_ranking(self.protocol, self.hashes)
+        ranking = _find_ranking(self.protocol, self.hashes, self.options)
         if self.hashes is None or ranking is None or self.ranked_by != ranking.column:
             return None
         values = [
@@ -133,7 +133,7 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
 
     def sort_key(key: _Key) -> tuple[object, ...]:
         protocol, title, split, hashes, options = key
-        is_older = hashes is not None and hashes[0] != load_protocol(protocol).hash
+        is_older = hashes is not None and hashes[0] != _load_present(protocol, options).hash
         return order[protocol], hashes is None, is_older, title, split or "", hashes or (), options
 
     keys = sorted(groups, key=sort_key)
@@ -180,7 +180,7 @@ def _board_key(entry: Entry) -> _Key:
 
 
 def _make_board(key: _Key, entries: list[Entry]) -> Board:
-    ranking = _find_ranking(key[0], key[3])
+    ranking = _find_ranking(key[0], key[3], key[4])
     columns = _list_columns(key[0], entries)
     rank_column = _select_rank_column(ranking, columns, entries)
     measure = MEASURES[rank_column[1]]
@@ -201,9 +201,17 @@ def _lead_with(rank_column: Column, columns: Sequence[Column]) -> tuple[Column, 
     return tuple(sorted(columns, key=lambda column: (column[0] != rank_column[0], column != rank_column)))
 
 
-def _find_ranking(protocol: str, hashes: tuple[str, ...] | None) -> Ranking | None:
+def _load_present(protocol: str, options: _Options) -> Protocol:
+    """Load the present version of a protocol; of a test split, with the commitment that its entries state."""
+    current, commitment = load_protocol(protocol), dict(options).get(COMMITMENT)
+    if commitment is None or current.suite is None or current.suite.draw is None:
+        return current
+    return commit_to_secret(current, commitment)
+
+
+def _find_ranking(protocol: str, hashes: tuple[str, ...] | None, options: _Options) -> Ranking | None:
     """Find the ranking key of the version of the protocol that measured the entries."""
-    current = load_protocol(protocol)
+    current = _load_present(protocol, options)
     if hashes is None or hashes[0] == current.hash:
         return current.ranking
     former = find_former(hashes[0])

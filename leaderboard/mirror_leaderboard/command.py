@@ -88,6 +88,14 @@ class Add:
     street: Annotated[tuple[str, ...], help_text(default="none", metavar="DATASET|synth:PRESET ...")] = ()
     """Protocol safety: drive the recorded controls again in these streets, with all of --scenarios in each. Each scene
     of a dataset is a street. Without it, the row stands in a table of unverified ones."""
+    again: bool = False
+    """Protocol with a suite: drive the recorded controls of all its drives again: the badge *states verified*. Without
+    it, the row stands in a table of unverified ones."""
+    ran_here: bool = False
+    """Protocol with a suite: you drove the rollouts yourself, with the policy in a sandbox or a container: the badge
+    *policy run by the organiser*. A suite with a secret takes no other rows."""
+    secret: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
+    """Protocol with a suite with a secret: your file of it."""
     scenarios: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
     """Scenarios (.toml) that were asked for, each with its seed; one rollout of each is required."""
     map: Annotated[Path | None, help_text(default="exact, or recorded, or fitted", metavar="FILE")] = None
@@ -157,10 +165,25 @@ def _build(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
+def _read_secret(arguments: Add) -> bytes | None:
+    from mirror.protocols.suite import read_secret
+    from mirror_leaderboard.add import read_result
+
+    if not (arguments.again or arguments.ran_here or arguments.secret):
+        return None
+    protocol = read_result(arguments.result).protocol
+    if protocol.suite is None:
+        raise UsageError(
+            f"protocol {protocol.name} has no suite", place="--again, --ran-here, --secret",
+            expected="a result of a suite, such as closed-loop",
+        )  # fmt: skip
+    return read_secret(arguments.secret, protocol.suite, protocol.name)
+
+
 def _add(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Add, argv, "mirror leaderboard add", examples=_ADD_EXAMPLES, renamed=_ADD_RENAMED)
     from mirror_leaderboard.add import add_result
-    from mirror_leaderboard.rescore import RolloutPlan, Sources
+    from mirror_leaderboard.rescore import RolloutPlan, Sources, SuitePlan
 
     if arguments.submission is None and arguments.hidden is not None:
         raise UsageError("--hidden requires --submission", expected="both, or neither")
@@ -168,8 +191,13 @@ def _add(argv: Sequence[str]) -> int:
         raise UsageError("--extractor requires --submission", expected="both, or neither")
     if bool(arguments.street) != (arguments.scenarios is not None):
         raise UsageError("only one of --street and --scenarios", expected="both, or neither")
-    plan = None
-    if arguments.scenarios is not None:
+    plan: RolloutPlan | SuitePlan | None = None
+    secret = _read_secret(arguments)
+    if arguments.again:
+        if arguments.scenarios is not None:
+            raise UsageError("--again and --scenarios", expected="the drives of a suite, or those of a folder")
+        plan = SuitePlan()
+    elif arguments.scenarios is not None:
         plan = RolloutPlan(arguments.street, arguments.scenarios, arguments.map, arguments.boxes)
     elif arguments.map is not None or arguments.boxes is not None:
         raise UsageError("--map and --boxes belong to a street", expected="--street and --scenarios with them")
@@ -186,6 +214,8 @@ def _add(argv: Sequence[str]) -> int:
         arguments.features,
         extractor=arguments.extractor,
         plan=plan,
+        secret=secret,
+        ran_here=arguments.ran_here,
         measured=measured,
         workers=arguments.workers,
     )

@@ -16,6 +16,7 @@ from mirror.protocols.document import protocol_names
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json
 from mirror.schema.hashing import HashStyle, hash_document
+from mirror.schema.suite_run import Isolation
 from mirror_leaderboard.keys import KeyId
 
 IMAGE_FOLDER: Final = "pictures"
@@ -153,6 +154,10 @@ class Pair(Document):
     truth: ImageFile
 
 
+COMMITMENT: Final = "drives of a test split, committed to"
+"""Option of entries of a suite with a secret: the SHA-256 of the secret."""
+
+
 class Measured(Document):
     """Figures of an evaluation; written by ``mirror leaderboard add``.
 
@@ -180,6 +185,8 @@ class Measured(Document):
         pairs: renders beside their truth.
         notes: warnings of the evaluation.
         verified: whether the board's organiser scored the renders again. The hash of the content omits False.
+        policy_run: how the board's organiser ran the policy of the rollouts; None: the participant ran it. The hash of
+            the content omits None.
         added: day on which the entry was added to the board; None: it is not known.
         seal: hash of all fields above, which reveals changes by hand.
         key: id of the organiser's key that signed the entry (`mirror_leaderboard.keys`).
@@ -209,6 +216,7 @@ class Measured(Document):
     pairs: tuple[Pair, ...] = ()
     notes: tuple[Note, ...] = ()
     verified: bool = Field(default=False, exclude_if=lambda verified: not verified)
+    policy_run: Isolation | None = Field(default=None, exclude_if=lambda run: run is None)
     added: date | None = Field(default=None, exclude_if=lambda added: added is None)
     seal: Hash = "0" * 64
     key: KeyId | None = Field(default=None, exclude_if=lambda key: key is None)

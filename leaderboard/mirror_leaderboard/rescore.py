@@ -55,6 +55,11 @@ class RolloutPlan:
 
 
 @dataclass(frozen=True)
+class SuitePlan:
+    """Request of an organiser: the drives of the protocol's suite, on its own streets."""
+
+
+@dataclass(frozen=True)
 class Sources:
     """The data that an organiser compares a result with.
 
@@ -66,6 +71,8 @@ class Sources:
         workers: number of worker processes.
         extractor: extractor of edited regions; None: the built-in one. What a result states is never taken.
         plan: for the protocol safety, what was asked to be driven; None: controls are not driven again.
+        secret: the organiser's secret of a suite, which its drives follow from; None: it has none.
+        ran_here: whether the organiser drove the rollouts, with the policy in a sandbox or a container.
         measured: for the protocol runtime, an installed method and its model, whose speed is measured here; None: all
             figures are those that the submission states.
     """
@@ -76,7 +83,9 @@ class Sources:
     features: Path | None = None
     workers: int = 2
     extractor: str | None = None
-    plan: RolloutPlan | None = None
+    plan: RolloutPlan | SuitePlan | None = None
+    secret: bytes | None = None
+    ran_here: bool = False
     measured: tuple[str, Path] | None = None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -17,13 +17,14 @@ from mirror.metrics.safety import StateLog, find_difference, find_impossible_mot
 from mirror.metrics.safety.driving_score import LEAST_REFERENCE_M
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
+from mirror.protocols.suite import list_drives
 from mirror.schema.documents import FileEntry
 from mirror.schema.files import sha256_bytes
 from mirror.schema.road_map import encode_road_map
 from mirror.schema.rollout import BY_POLICY, MAP_FILE, ROLLOUT, SCENARIO_FILE, STATES_FILE, Rollout
 from mirror.schema.scenario import Scenario, encode_scenario, read_scenario
 from mirror_leaderboard.refused import RefusedError
-from mirror_leaderboard.rescore import RolloutPlan, require_equal, require_equal_figures
+from mirror_leaderboard.rescore import RolloutPlan, SuitePlan, require_equal, require_equal_figures
 
 if TYPE_CHECKING:
     from hybridworldsim.simulator.ego.vehicle import Controls
@@ -55,20 +56,24 @@ class AskedDrive:
         dataset_hash: hash of its dataset; None: it is synthetic.
         map_hash: hash of its encoded map.
         scenario: the scenario with its seed.
+        ends_off_road: whether it ends where the whole body of the ego is off the drivable area.
     """
 
     street: Street
     dataset_hash: str | None
     map_hash: str
     scenario: Scenario
+    ends_off_road: bool = False
 
 
 def rescore_rollouts(
     result: Result,
     path: Path,
     rollouts: Path,
-    plan: RolloutPlan | None = None,
+    plan: RolloutPlan | SuitePlan | None = None,
     progress: ProgressReporter | None = None,
+    *,
+    secret: bytes | None = None,
 ) -> Result:
     """Score rollouts again from their state logs, and return the new result if it equals the given one.
 
@@ -81,6 +86,7 @@ def rescore_rollouts(
         rollouts: folder of the rollouts.
         plan: what was asked for; None: maps, scenarios, seeds, routes and states are the participant's.
         progress: receives the progress.
+        secret: the organiser's secret of the suite; None: it has none.
 
     Raises:
         RefusedError: a figure or a warning differs, a log has a motion that no body can make, or a rollout is not what
@@ -89,7 +95,7 @@ def rescore_rollouts(
         DatasetError: a rollout is incomplete or was changed.
     """
     with tempfile.TemporaryDirectory(prefix="mirror-rescore-") as folder:
-        evaluation = evaluate_rollouts(rollouts, result.protocol, Path(folder) / "results", progress)
+        evaluation = evaluate_rollouts(rollouts, result.protocol, Path(folder) / "results", progress, secret=secret)
     done = evaluation.result
     require_equal("submission_hash", result.submission_hash, done.submission_hash, path)
     require_equal("dataset", result.dataset, done.dataset, path)
@@ -101,7 +107,8 @@ def rescore_rollouts(
         for one in evaluation.scored:
             _read_possible(rollouts / one.path)
         return done
-    return _drive_again(done, rollouts, evaluation.scored, plan, progress or NullProgress())
+    asked = _list_suite_tasks(result.protocol, secret) if isinstance(plan, SuitePlan) else _list_tasks(plan)
+    return _drive_again(done, rollouts, evaluation.scored, asked, progress or NullProgress())
 
 
 def _read_possible(folder: Path) -> StateLog:
@@ -121,10 +128,10 @@ def _drive_again(
     done: Result,
     rollouts: Path,
     scored: Sequence[ScoredRollout],
-    plan: RolloutPlan,
+    asked: Iterable[AskedDrive],
     progress: ProgressReporter,
 ) -> Result:
-    tasks = {_key(task.street.scene_id, task.scenario): task for task in _list_tasks(plan)}
+    tasks = {_key(task.street.scene_id, task.scenario): task for task in asked}
     given = {(one.rollout.scene_id, one.rollout.scenario, one.rollout.seed): one for one in scored}
     for key in sorted(given.keys() - tasks.keys()):
         raise RefusedError(f"{_describe(key)} was not asked for", file=rollouts / given[key].path, remedy=_DRIVE)
@@ -148,6 +155,18 @@ def _key(scene_id: str, scenario: Scenario) -> tuple[str, str, int]:
 
 def _describe(key: tuple[str, str, int]) -> str:
     return f"scenario {key[1]} with seed {key[2]} in scene {key[0]}"
+
+
+def _list_suite_tasks(protocol: Protocol, secret: bytes | None) -> Iterator[AskedDrive]:
+    from hybridworldsim.simulator.suite import open_suite_street, require_suite
+
+    suite = require_suite(protocol)
+    held: tuple[Street, str] | None = None
+    for drive in list_drives(suite, secret):
+        if held is None or held[0].scene_id != drive.street.scene:
+            street = open_suite_street(drive.street)
+            held = street, sha256_bytes(encode_road_map(street.road_map))
+        yield AskedDrive(held[0], None, held[1], drive.scenario, suite.ends_off_road)
 
 
 def _list_tasks(plan: RolloutPlan) -> Iterator[AskedDrive]:
@@ -208,7 +227,9 @@ def check_rollout(folder: Path, one: ScoredRollout, task: AskedDrive, protocol: 
     from hybridworldsim.simulator.rollout.driven_again import drive_again
 
     log, rollout, scenario = _read_possible(folder), one.rollout, task.scenario
-    if rollout.ending in BY_POLICY:
+    is_failed = rollout.ending in BY_POLICY
+    # A suite states the score of a drive that the policy ends.
+    if is_failed and protocol.suite is None:
         raise RefusedError(
             f"the policy ended the rollout after {rollout.steps} steps: nobody knows what would have come then",
             file=folder / ROLLOUT, place="ending", expected="rollouts to their end", remedy=_UNVERIFIED,
@@ -222,16 +243,20 @@ def check_rollout(folder: Path, one: ScoredRollout, task: AskedDrive, protocol: 
         raise _another(folder / ROLLOUT, "dataset_hash", rollout.dataset_hash, task.dataset_hash, "dataset")
     if rollout.files[MAP_FILE].sha256 != task.map_hash:
         raise _another(folder / MAP_FILE, "sha256", rollout.files[MAP_FILE].sha256, task.map_hash, "map")
-    driven = drive_again(task.street, scenario, _read_controls(folder, rollout, scenario.steps))
+    controls = _read_controls(folder, rollout, scenario.steps)
+    driven = drive_again(task.street, scenario, controls, ends_off_road=task.ends_off_road)
     _require_progress(driven.log, scenario)
+    ending = driven.ending
+    if is_failed and ending is None:
+        ending = rollout.ending
     own = rollout.model_copy(
         update={
-            "steps": driven.steps, "ending": driven.ending, "scenario_version": scenario.version,
+            "steps": driven.steps, "ending": ending, "scenario_version": scenario.version,
             "rate_hz": scenario.rate_hz, "map_source": task.street.map_source, "route_m": driven.route_m,
             "files": {**rollout.files, **_describe_files(task)},
         }
     )  # fmt: skip
-    if driven.ending is None:
+    if ending is None:
         raise RefusedError(
             f"the controls end after {driven.steps} steps, and the drive does not",
             file=folder / ROLLOUT, place="ending", expected="the whole drive", remedy=_DRIVE,

@@ -50,7 +50,8 @@ class Arguments:
     """Also write report.html: figures, and the worst, median and best renders beside truth and error. For rollouts:
     figures, and the worst rollouts from above."""
     baseline: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, help_text(metavar="RESULTS")] = ()
-    """Show another evaluation of the same views in the report, such as that of a floor."""
+    """Show another evaluation of the same views in the report, such as that of a floor. For rollouts: of another policy
+    on the same drives, with the paired differences."""
     require: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="METRIC")] = ()
     """Fail if this metric is unavailable, such as lpips. Others are listed as unavailable and left out."""
     stand_ins: bool = False
@@ -146,7 +147,6 @@ def _evaluate_rollouts(arguments: Arguments) -> ExitCode:
     folder = local_path(Path(arguments.dataset), "DATASET")
     unused = {
         "--split": arguments.split,
-        "--baseline": arguments.baseline,
         "--require": arguments.require,
         "--stand-ins": arguments.stand_ins,
         "--weights": arguments.weights,
@@ -161,6 +161,8 @@ def _evaluate_rollouts(arguments: Arguments) -> ExitCode:
         raise UsageError(
             "there is no SUBMISSION, and rollouts have no such option", place=named, expected="DATASET and SUBMISSION"
         )
+    if arguments.baseline and not arguments.report:
+        raise UsageError("--baseline is shown in the report", expected="--report beside it")
     named_folder = folder if folder.name else folder.absolute()
     out = arguments.out or named_folder.with_name(f"{named_folder.name}-results")
     protocol = load_protocol(arguments.protocol or "safety")
@@ -173,9 +175,11 @@ def _evaluate_rollouts(arguments: Arguments) -> ExitCode:
         evaluation = evaluate_rollouts(folder, protocol, out, bar, secret=secret)
     result, page = evaluation.result, out / "report.html" if arguments.report else None
     if page is not None:
+        from mirror.evaluation.compare import compare
         from mirror.evaluation.rollout_report import write_rollout_report
 
-        write_rollout_report(evaluation, folder, page)
+        pairs = compare([out, *arguments.baseline])[1] if arguments.baseline else []
+        write_rollout_report(evaluation, folder, page, pairs)
     if arguments.json:
         places = {"out": str(out), "report": None if page is None else str(page), "result_hash": result.hash}
         print(json.dumps({**places, "result": result.model_dump(mode="json")}))

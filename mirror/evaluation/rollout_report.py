@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.evaluation.compare import ResultComparison
 from mirror.evaluation.report_tables import (
     Footnotes,
     breakdown_tables,
@@ -21,6 +22,8 @@ from mirror.evaluation.report_tables import (
     select_ranks,
     summary_table,
 )
+from mirror.evaluation.result import Level
+from mirror.evaluation.rollout_series import draw_series
 from mirror.evaluation.rollouts import RolloutEvaluation
 from mirror.evaluation.scorers.safety import ScoredRollout
 from mirror.metrics.catalogue import MEASURES
@@ -39,13 +42,16 @@ _MOST: Final = 500
 _COLUMNS: Final = ("collisions", "at_fault_collisions", "least_ttc", "drivable_margin", "off_road", "epdms")
 
 
-def write_rollout_report(done: RolloutEvaluation, folder: Path, out: Path) -> None:
+def write_rollout_report(
+    done: RolloutEvaluation, folder: Path, out: Path, comparisons: Sequence[ResultComparison] = ()
+) -> None:
     """Write the report of an evaluation of rollouts.
 
     Args:
         done: the evaluation.
         folder: the evaluated folder.
         out: HTML file; it is replaced atomically.
+        comparisons: paired comparisons with the results of other policies on the same drives.
 
     Raises:
         DatasetError: a rollout cannot be read, or the file cannot be written.
@@ -66,11 +72,35 @@ def write_rollout_report(done: RolloutEvaluation, folder: Path, out: Path) -> No
         rollouts=[_describe_rollout(one) for one in listed],
         unlisted=len(done.scored) - len(listed),
         # The protocol's traversals are the scenarios of the rollouts.
-        breakdowns=list(breakdown_tables(result, notes, {"traversal": "By scenario"})),
+        breakdowns=list(breakdown_tables(result, notes, _list_levels(done.scored))),
+        comparisons=[_describe_comparison(one) for one in comparisons],
         remarks=list(notes.numbers),
         measures=list_measures(result),
     )
     write_bytes(out, page.encode())
+
+
+def _list_levels(scored: Sequence[ScoredRollout]) -> dict[Level, str]:
+    """List the levels at which the rollouts differ."""
+    levels: dict[Level, str] = {"traversal": "By scenario"}
+    if len({one.rollout.scene_id for one in scored}) > 1:
+        levels["scene"] = "By street"
+    if len({(one.scenario.light, one.scenario.weather) for one in scored}) > 1:
+        levels["condition"] = "By light and weather"
+    if any(one.rollout.sensors is not None for one in scored):
+        levels["camera"] = "By fault of the sensors"
+    return levels
+
+
+def _describe_comparison(comparison: ResultComparison) -> dict[str, object]:
+    rows = []
+    for row in comparison.rows:
+        between = "" if row.low is None or row.high is None else f"{row.low:+.3f} to {row.high:+.3f}"
+        values = ["none" if value is None else f"{value:.3f}" for value in (row.first, row.other)]
+        difference = "none" if row.difference is None else f"{row.difference:+.3f}"
+        title = MEASURES[row.metric].title
+        rows.append({"title": title, "values": values, "difference": difference, "between": between, "n": row.n})
+    return {"name": comparison.name, "rows": rows}
 
 
 def _list_tiles(scored: Sequence[ScoredRollout]) -> list[tuple[str, str]]:
@@ -109,16 +139,26 @@ def _draw_examples(scored: Sequence[ScoredRollout], folder: Path) -> list[dict[s
     for title, ranks in reversed(select_ranks(len(ranked)).items()):
         for one in (ranked[rank] for rank in reversed(ranks)):
             run = folder / one.path
-            plan = draw_plan(read_state_log(run / STATES_FILE), read_road_map(run / MAP_FILE))
+            log, road_map = read_state_log(run / STATES_FILE), read_road_map(run / MAP_FILE)
+            plan = draw_plan(log, road_map, moves=title == "worst")
+            series = draw_series(log, road_map) if title == "worst" else ""
             score, measure = one.values.get(_RANKED_BY), MEASURES[_RANKED_BY]
             shown = "none" if score is None else f"{score:.2f}"
             words = f"{title}: {one.rollout.scenario}, seed {one.rollout.seed}, {measure.title} {shown}"
-            plans.append({"plan": plan, "words": words})
+            if one.rollout.sensors is not None:
+                words += f", {one.rollout.sensors}"
+            plans.append({"plan": plan, "words": words, "series": series})
     return plans
 
 
-def draw_plan(log: StateLog, road_map: RoadMap) -> Markup:
-    """Draw a rollout from above as SVG: the drivable area, the ways of all actors, their last boxes and collisions."""
+def draw_plan(log: StateLog, road_map: RoadMap, *, moves: bool = False) -> Markup:
+    """Draw a rollout from above as SVG: the drivable area, the ways of all actors, their last boxes and collisions.
+
+    Args:
+        log: the states.
+        road_map: the map.
+        moves: whether the boxes move along their ways, again and again; without a script.
+    """
     ego = np.column_stack([log.x_m[:, 0], log.y_m[:, 0]])
     low, high = ego.min(axis=0) - _BESIDE_M, ego.max(axis=0) + _BESIDE_M
     width, height = (high - low).tolist()
@@ -135,7 +175,9 @@ def draw_plan(log: StateLog, road_map: RoadMap) -> Markup:
             continue
         way = np.column_stack([log.x_m[rows, actor], log.y_m[rows, actor]])
         box = _rectangle(log, int(rows[-1]), actor)
-        about = {"id": log.ids[actor], "is_ego": actor == 0}
+        about: dict[str, object] = {"id": log.ids[actor], "is_ego": actor == 0, "moves": ""}
+        if moves and len(rows) == len(log.stamps_ns) and ((way > low) & (way < high)).all(axis=1).any():
+            about["moves"] = ";".join(points(_rectangle(log, row, actor)) for row in rows.tolist())
         actors.append({**about, "way": points(way), "box": points(box)})
     collisions = []
     for collision in find_collisions(log):
@@ -143,7 +185,9 @@ def draw_plan(log: StateLog, road_map: RoadMap) -> Markup:
         x, y = ego[row]
         collisions.append((f"{x - low[0]:.2f}", f"{high[1] - y:.2f}"))
     size = (f"{width:.2f}", f"{height:.2f}")
-    return render_part("mirror.evaluation", "plan.html", "plan", *size, area, actors, collisions)
+    return render_part(
+        "mirror.evaluation", "plan.html", "plan", *size, area, actors, collisions, f"{log.times_s[-1]:g}"
+    )
 
 
 def _rectangle(log: StateLog, row: int, actor: int) -> Float64:

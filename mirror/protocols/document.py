@@ -231,6 +231,23 @@ class Protocol(Document):
         return hash_document(plain, HashStyle.CANONICAL)
 
 
+def commit_to_secret(protocol: Protocol, commitment: str) -> Protocol:
+    """Return the protocol of a test split: a suite's protocol with the commitment to a secret in place of its seed.
+
+    Args:
+        protocol: a protocol whose suite draws parameters.
+        commitment: SHA-256 of the secret.
+
+    Raises:
+        UsageError: the protocol has no suite that draws.
+    """
+    suite = protocol.suite
+    if suite is None or suite.draw is None:
+        raise UsageError(f"protocol {protocol.name} draws nothing", expected="a suite with a table draw")
+    draw = suite.draw.model_copy(update={"seed": None, "commitment": commitment})
+    return protocol.model_copy(update={"suite": suite.model_copy(update={"draw": draw})})
+
+
 def protocol_names() -> list[str]:
     """List the names of the protocols that come with the toolkit, sorted."""
     folder = files("mirror.protocols").joinpath("definitions")

@@ -166,11 +166,19 @@ def test_the_report_leads_with_the_best_median_and_worst_rollouts(runs: Path, tm
     assert [name for name, _ in titles] == ["best", "best", "median", "median", "worst", "worst"]
     scores = [float(score) for _, score in titles]
     assert scores == sorted(scores, reverse=True) and scores[0] > scores[-1]
-    assert page.count("<svg") == 6 and page.count("<circle") == 2
+    # The two worst ones have three series each below the view from above.
+    assert page.count("<svg") == 6 + 2 * 3 and page.count("<circle") == 2
+    assert page.count("<animate ") >= 2 and "time to collision: " in page and "<script" not in page
     assert page.rindex("<svg") < page.index("<h2>Figures</h2>") < page.index("<h2>Rollouts</h2>")
     assert "12</b><span>rollouts of 6 scenarios" in page and "2</b><span>with a collision" in page
     assert "By scenario" in page and "http" not in page.replace("http-equiv", "")
     assert page.count("<tr>") >= 12 + 6
+    assert "Paired with" not in page
+    words = ["evaluate", str(runs), "--report", "--baseline", str(tmp_path / "out"), "--out", str(tmp_path / "again")]
+    assert main(words) == 0
+    again = (tmp_path / "again" / "report.html").read_text()
+    assert "<h2>Paired with cautious</h2>" in again and "+0.000" in again
+    assert main([word for word in words if word != "--report"]) == 2
 
 
 def test_failed_policies_are_scored_with_a_warning_and_interrupted_rollouts_are_refused(tmp_path: Path) -> None:

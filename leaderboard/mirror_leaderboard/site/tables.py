@@ -9,6 +9,7 @@ from math import ceil
 from typing import Final
 
 from mirror.metrics.catalogue import MEASURES, Measure
+from mirror.protocols.document import load_protocol
 from mirror.protocols.ranking import group_title
 from mirror_leaderboard.boards import FLOOR, FLOOR_OF_EDITS, Board, Column, find_figure
 from mirror_leaderboard.entry import Entry, Figure, Measured
@@ -212,6 +213,11 @@ def _list_variant(entry: Entry, board: Board) -> Iterator[str]:
         yield f"version {entry.version}"
     if entry.setting:
         yield entry.setting
+    if isinstance(entry, Measured) and load_protocol(entry.protocol).suite is not None:
+        if entry.verified:
+            yield "states verified"
+        if entry.policy_run is not None:
+            yield f"policy run by the organiser ({entry.policy_run})"
 
 
 def _arrange_cell(entry: Entry, column: Column, board: Board, best: float | None, notes: dict[str, int]) -> Cell:

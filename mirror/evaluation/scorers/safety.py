@@ -121,7 +121,7 @@ def score_drive(
 def rollout_view(scored: ScoredRollout, group: str) -> RenderView:
     """Return the keys of a rollout in the table of values.
 
-    Its scenario takes the place of a traversal.
+    Its scenario takes the place of a traversal; the fault of its sensors, or else its world, that of a camera.
     """
     return RenderView.model_construct(
         path=scored.path,
@@ -129,7 +129,7 @@ def rollout_view(scored: ScoredRollout, group: str) -> RenderView:
         scene_id=scored.rollout.scene_id,
         traversal_id=scored.rollout.scenario,
         frame_index=scored.rollout.seed,
-        camera=scored.rollout.world,
+        camera=scored.rollout.sensors or scored.rollout.world,
         timestamp_ns=0,
         light=scored.scenario.light,
         weather=scored.scenario.weather,

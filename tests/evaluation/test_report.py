@@ -20,6 +20,7 @@ from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
 from mirror.metrics.catalogue import MEASURES, find_measure
 from mirror.protocols.views import RenderView
 from tests.evaluation.submissions import SPLIT, small, write_renders
+from tests.leaderboard.browser import Browser
 
 GROUPS = '[[groups]]\nname = "training"\nroles = ["train"]\n\n[[groups]]\nname = "novel"\nroles = ["held_out"]\n'
 DATA = re.compile(r'src="data:image/jpeg;base64,([^"]*)"')
@@ -100,6 +101,26 @@ def test_best_median_and_worst_renders_are_compared_with_their_truth(
             # The renders of this method are its truth, 12 to 20 levels brighter.
             assert 6 < images[1].mean() - images[0].mean() < 21
     assert page.count('class="examples"') == 2 and page.index("By scene") > page.rindex('class="compare"')
+
+
+def test_the_edge_follows_the_chosen_step_without_a_script(
+    scored: dict[str, Evaluation], tmp_path: Path, browser: Browser
+) -> None:
+    write(scored, tmp_path)
+    for width in (1280, 390):
+        browser.open(tmp_path / "report.html", width=width, height=800)
+        for step, share in ((2, 0.1), (20, 1.0), (10, 0.5)):
+            browser.script(f"document.querySelectorAll('.compare')[0].querySelectorAll('input')[{step}].click()")
+            found = browser.script(
+                "(()=>{const stage=document.querySelector('.stage').getBoundingClientRect(),"
+                "edge=document.querySelector('.stage .edge').getBoundingClientRect();"
+                "return (edge.left + edge.width / 2 - stage.left) / stage.width})()"
+            )
+            assert found == pytest.approx(share, abs=0.01)
+        # No image is enlarged, and the page is not wider than the window.
+        enlarged = "[...document.images].filter(image => image.width > image.naturalWidth + 1).length"
+        assert browser.script(enlarged) == 0
+        assert browser.script("document.documentElement.scrollWidth") <= width
 
 
 def test_figures_have_the_names_of_boards(scored: dict[str, Evaluation], tmp_path: Path) -> None:

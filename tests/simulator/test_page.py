@@ -24,6 +24,8 @@ from mirror.metrics.safety.collisions import Collision, CollisionKind
 from mirror.metrics.safety.report import FIGURES, SafetyFigure, SafetyReport
 from mirror.schema.rollout import STATES_FILE
 from mirror.schema.scenario import Scenario
+from mirror.view.video import write_video
+from tests.leaderboard.browser import Browser
 from tests.simulator.requests import request
 
 START_NS = 1_000_000_000
@@ -150,3 +152,33 @@ def test_curves_of_a_drive_are_those_of_its_states(tmp_path: Path) -> None:
     speed = np.array(data["curves"][0]["values"])
     way = LineString(np.column_stack([log.x_m[:, 0], log.y_m[:, 0]])).length
     assert np.trapezoid(speed, log.times_s) == pytest.approx(way, rel=0.01)
+
+
+def test_marks_follow_the_video_and_events_move_it(content: DriveContent, tmp_path: Path, browser: Browser) -> None:
+    write_video(tmp_path / "drive.mp4", [np.full((64, 96, 3), 40 * row, np.uint8) for row in range(5)], 2.0)
+    write_page(tmp_path / "a.html", content)
+    browser.open(tmp_path / "a.html")
+    place = "document.querySelector('.now').getAttribute('x1')"
+    value = "document.querySelector('output').textContent"
+    browser.script("document.querySelector('video').pause()")
+    # The second event is the collision, 1.5 s after the start of 2 s.
+    browser.script("document.querySelectorAll('.events button')[1].click()")
+    assert browser.script("document.querySelector('video').currentTime") == pytest.approx(1.501, abs=1e-6)
+    assert (
+        float(browser.script(place)) == pytest.approx(46 + 0.75 * (550 - 46), abs=0.3)
+        and browser.script(value) == "4.0 m/s"
+    )
+    # A click on a chart at its first quarter.
+    browser.script(
+        "(()=>{const svg=document.querySelector('.curve svg'), box=svg.getBoundingClientRect();"
+        "svg.dispatchEvent(new PointerEvent('pointerdown', {clientX: box.left + box.width * (46 + 126) / 560}))})()"
+    )
+    assert float(browser.script(place)) == pytest.approx(46 + 126, abs=0.3) and browser.script(value) == "2.0 m/s"
+    # The video's own time moves the marks.
+    seek = "v.currentTime=1.2; v.dispatchEvent(new Event('seeked'))"
+    browser.script("(()=>{const v=document.querySelector('video'); " + seek + "})()")
+    assert (
+        float(browser.script(place)) == pytest.approx(46 + 0.6 * (550 - 46), abs=0.3)
+        and browser.script(value) == "none"
+    )
+    assert not browser.warnings()

@@ -17,6 +17,8 @@ from mirror.geometry.geodesy import surface_distance_m
 from mirror.view.aerial import AerialImage
 from mirror.view.images import busiest_frame, compare_lights, same_place
 from mirror.view.instant import REACH_M, cameras_over_time, draw_from_above, trace_cone
+from mirror.view.report import write_report
+from tests.leaderboard.browser import Browser
 
 
 def outlines(drawing: str, pattern: str) -> list[np.ndarray]:
@@ -127,3 +129,19 @@ def test_ground_without_bounds_and_other_files_are_refused(
     bounds = [str(value) for value in (lon - 0.01, lat - 0.01, lon + 0.01, lat + 0.01)]
     assert main(["report", tiny_dataset.root, "--out", out, "--aerial", str(ground), "--aerial-bounds", *bounds]) == 0
     assert '<image x="-' in Path(out).read_text()
+
+
+def test_a_report_fits_a_phone_and_a_choice_changes_the_images(
+    tiny_dataset: Dataset, tmp_path: Path, browser: Browser
+) -> None:
+    write_report(tiny_dataset, tmp_path / "report.html")
+    for width in (1280, 390):
+        browser.open(tmp_path / "report.html", width=width, height=800)
+        assert browser.script("document.documentElement.scrollWidth") <= width
+        # Tables do not scroll sideways on a phone.
+        wide = "[...document.querySelectorAll('.stack .scroll')].some(one => one.scrollWidth > one.clientWidth + 1)"
+        assert width > 390 or not browser.script(wide)
+        assert browser.script("[...document.images].filter(one => one.width > one.naturalWidth + 1).length") == 0
+        browser.script("document.querySelectorAll('.times input')[3].click()")
+        shown = "[...document.querySelectorAll('.times .chosen')].map(one => one.getClientRects().length > 0)"
+        assert browser.script(shown) == [place == 3 for place in range(8)]

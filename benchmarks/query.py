@@ -106,7 +106,7 @@ def brute_force(dataset: Dataset, within: tuple[float, float, float]) -> tuple[s
     import pyproj
 
     start = time.perf_counter()
-    files = sorted((dataset.layout.index / "images").glob("*.parquet"))
+    files = sorted(dataset.layout.index.glob("*/images/*.parquet"))
     rows = pd.concat([pd.read_parquet(file, columns=[*KEYS, "longitude_deg", "latitude_deg"]) for file in files])
     count = len(rows)
     _, _, distance = pyproj.Geod(ellps="WGS84").inv(

@@ -1,4 +1,4 @@
-"""``mirror dataset publish DATASET``, ``mirror dataset fetch URL`` and ``mirror dataset audit PUBLISHED``."""
+"""``mirror dataset publish|migrate DATASET``, ``mirror dataset fetch URL`` and ``mirror dataset audit PUBLISHED``."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ _FETCH_EXAMPLES = (
     "mirror dataset fetch published --out street",
     "mirror dataset fetch https://example.org/street --out street --json",
 )
+_MIGRATE_EXAMPLES = ("mirror dataset migrate demo/dataset", "mirror dataset migrate demo/dataset --json")
 _AUDIT_EXAMPLES = (
     "mirror dataset audit published --against demo/dataset",
     "mirror dataset audit https://example.org/street --against demo/dataset --json",
@@ -110,11 +111,27 @@ class Audit:
     """Print JSON."""
 
 
+@dataclass(frozen=True)
+class Migrate:
+    """Bring a dataset of an earlier version of MIRROR up to date: its index gets snapshots.
+
+    Drives, traversals, layers, maps and splits stay byte for byte. An interrupted call continues when it is repeated.
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    wait: bool = False
+    """Wait until no other run writes the dataset. Without it, a dataset that is being written is an error."""
+    json: bool = False
+    """Print JSON."""
+
+
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     subcommands = {
         "publish": Subcommand("write a bundle without held-out images", _publish),
         "fetch": Subcommand("fetch a bundle and verify it", _fetch),
+        "migrate": Subcommand("bring a dataset of an earlier version up to date", _migrate),
         "audit": Subcommand("hold what is published against its dataset", _audit),
     }
     return run_subcommand(argv, "mirror dataset", subcommands)
@@ -163,6 +180,24 @@ def _publish(argv: Sequence[str]) -> int:
         print(f"{len(report.altered):,} images have other bytes than their table states, such as {report.altered[0]}")
     if report.as_recorded:
         print(f"{report.as_recorded:,} images show faces and plates as recorded: publish them only if you may")
+    return ExitCode.DONE
+
+
+def _migrate(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Migrate, argv, "mirror dataset migrate", examples=_MIGRATE_EXAMPLES)
+
+    from dataclasses import asdict
+
+    from mirror.dataset.migration import migrate
+    from mirror.schema.version import DATASET_VERSION
+
+    report = migrate(arguments.dataset, wait=arguments.wait)
+    if arguments.json:
+        print(json.dumps({**asdict(report), "version": DATASET_VERSION}))
+    elif report.index is None:
+        print(f"{arguments.dataset}: version {report.before}, nothing to do")
+    else:
+        print(f"{arguments.dataset}: version {report.before} -> {DATASET_VERSION}, snapshot {report.index.snapshot}")
     return ExitCode.DONE
 
 

@@ -12,17 +12,26 @@ import tyro
 from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
-_EXAMPLES = ("mirror index demo/dataset", "mirror index demo/dataset --force --json")
+_EXAMPLES = (
+    "mirror index demo/dataset",
+    "mirror index demo/dataset --compact",
+    "mirror index demo/dataset --force --json",
+)
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Rebuild the index tables from drives, traversals and layers. Their bytes do not depend on the order of ingest."""
+    """Bring the index tables up to date with drives, traversals and layers, and put a snapshot with the result.
+
+    A compact index has one file a table and scene; its bytes do not depend on the order of ingest.
+    """
 
     dataset: tyro.conf.Positional[Path]
     """Folder of the dataset."""
     force: bool = False
-    """Rebuild every scene, also those that are up to date."""
+    """Derive everything again, also what is up to date."""
+    compact: bool = False
+    """Make one segment of all that runs of `mirror ingest` and others added; earlier snapshots stay."""
     wait: bool = False
     """Wait until no other run writes the dataset. Without it, a dataset that is being written is an error."""
     json: bool = False
@@ -40,11 +49,12 @@ def main(argv: Sequence[str]) -> int:
     layout = Layout(arguments.dataset)
     require_dataset(layout)
     with writer_lock(layout, wait=arguments.wait):
-        report = build_index(layout.root, force=arguments.force, check_sizes=True)
+        report = build_index(layout.root, force=arguments.force, compact=arguments.compact, check_sizes=True)
     if arguments.json:
         print(json.dumps(asdict(report)))
         return ExitCode.DONE
     rows = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in report.rows.items() if count)
     print(f"{len(report.scenes_written)} scenes written, {len(report.scenes_kept)} up to date; {rows}")
-    print(f"index: {layout.index} ({report.seconds:.1f} s)")
+    segments = "1 segment" if report.segments == 1 else f"{report.segments} segments"
+    print(f"index: {layout.index}, snapshot {report.snapshot} of {segments} ({report.seconds:.1f} s)")
     return ExitCode.DONE

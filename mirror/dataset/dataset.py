@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from mirror.dataset.index.snapshots import read_snapshot
 from mirror.dataset.layers import LayerChoice
 from mirror.dataset.layout import Layout
-from mirror.dataset.lock import is_being_written
-from mirror.dataset.opening import find_staleness, hold_generation, read_document, read_index_manifest
+from mirror.dataset.opening import hash_snapshot, open_snapshot, read_document
 from mirror.dataset.query.catalog import TABLES, Catalog
 from mirror.dataset.query.choices import parse_interval, require_known
 from mirror.dataset.query.filters import Circle, Filters, LocalCircle
@@ -49,19 +49,20 @@ class Dataset:
 
     `open` makes it. It can be pickled; another process then opens the same index. A view of a local dataset reads the
     state at the time of opening, even while a run replaces drives: replaced files stay on disk as long as a view needs
-    them. If the index of a remote dataset has been rewritten since, reading raises a DatasetError. So rows of two
-    indexes are never mixed.
+    them. A view reads one snapshot of the index, whatever is added meanwhile.
 
     Attributes:
         document: ``dataset.json``.
         filters: the restrictions of the view.
         layers: the layers of poses, calibrations, boxes, depth and points that the view reads.
-        index_sha256: hash of the index's manifest; equal for equal datasets.
+        snapshot: number of the snapshot of the index that the view reads.
+        index_sha256: hash of what the snapshot holds; equal for equal datasets whose index is compact.
     """
 
     document: DatasetDocument
     filters: Filters
     layers: LayerChoice
+    snapshot: int
     index_sha256: str
     _catalog: Catalog
 
@@ -113,7 +114,7 @@ class Dataset:
         return show_dataset(facts, rows, middle_images)
 
     def __reduce__(self) -> tuple[Callable[..., Dataset], tuple[object, ...]]:
-        return (_reopen, (self.root, self.index_sha256, self.filters, self.layers))
+        return (_reopen, (self.root, self.snapshot, self.index_sha256, self.filters, self.layers))
 
     def scenes(self) -> list[str]:
         """Return the ids of the scenes in the view, sorted."""
@@ -422,16 +423,17 @@ class Dataset:
         return frozenset(key for key, value in assignments.items() if roles is None or value in roles)
 
 
-def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:
-    """Open a dataset for reading.
+def open(path: str | os.PathLike[str], *, at: int | None = None) -> Dataset:
+    """Open a dataset for reading, as of the newest snapshot of its index.
+
+    Files that were added since that snapshot are not seen: `mirror check` finds them, `mirror index` adds them.
 
     Args:
         path: its folder, or a URL that fsspec reads.
-        check_stale: compare the index with the manifests of its sources, which reads each manifest once. While a run
-            writes a local dataset, the state before the run is opened.
+        at: number of an earlier snapshot.
 
     Raises:
-        DatasetError: the folder has no dataset or no index, or the dataset has changed since the index was built.
+        DatasetError: the folder has no dataset or no index, there is no such snapshot, or its files have been replaced.
         SchemaError: a document is broken, or its schema version is one that this toolkit does not read.
 
     Example:
@@ -440,32 +442,22 @@ def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:
         Dataset('dataset': 3 traversals, 24 images)
         >>> dataset.cameras()
         ['front_wide', 'rear']
+        >>> mirror.open("dataset", at=dataset.snapshot).count("images")
+        24
     """
-    return _open(path, check_stale=check_stale)
-
-
-def _open(root: str | os.PathLike[str], *, check_stale: bool) -> Dataset:
-    store = Store(root)
+    store = Store(path)
     document = read_document(store)
-    while True:
-        held = hold_generation(store)
-        manifest, digest = read_index_manifest(held)
-        wrong = find_staleness(store, manifest) if check_stale else None
-        generation = held.generation
-        if wrong is None or (store.folder is not None and is_being_written(Layout(store.folder))):
-            # While a run writes the dataset, readers get the generation before that run.
-            return Dataset(document, Filters(), LayerChoice(), digest, Catalog(held, manifest.files))
-        if generation is None or generation.is_current():
-            raise wrong
+    held, number, snapshot, sha256 = open_snapshot(store, at)
+    return Dataset(document, Filters(), LayerChoice(), number, sha256, Catalog(held, snapshot))
 
 
-def _reopen(root: str, index_sha256: str, filters: Filters, layers: LayerChoice) -> Dataset:
-    store = Store(root) if Store(root).folder is None else store_at(root, index_sha256)
-    manifest, digest = read_index_manifest(store)
-    if digest != index_sha256:
+def _reopen(root: str, number: int, index_sha256: str, filters: Filters, layers: LayerChoice) -> Dataset:
+    store = Store(root) if Store(root).folder is None else store_at(root, number)
+    snapshot = read_snapshot(store, number)
+    if hash_snapshot(snapshot) != index_sha256:
         raise DatasetError(
             "the index has changed since this view was made",
             file=store.full_path("index"),
             remedy="open the dataset again and make the view again",
         )
-    return Dataset(read_document(store), filters, layers, digest, Catalog(store, manifest.files))
+    return Dataset(read_document(store), filters, layers, number, index_sha256, Catalog(store, snapshot))

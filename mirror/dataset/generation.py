@@ -1,9 +1,10 @@
-"""Generations of a dataset: a reader keeps reading the state that it opened while a run replaces files.
+"""Generations of a dataset: a reader keeps reading the snapshot that it opened while a run replaces files.
 
-The manifest of the index identifies a generation. Before a run changes a file or folder of a generation, `supersede`
-moves it to `.superseded/<number>.<generation>/`, at the same relative path. A reader searches there first, in the layer
-of its own generation and then in the later ones: the first match is the file of its generation. A reader holds a shared
-lock on its manifest, so `release` can remove the layers that no reader needs.
+The files of the index never change. Drives, traversals and maps do where a run replaces them: before that, `supersede`
+moves them to `.superseded/<number>.<snapshot>/`, at the same relative path, where `snapshot` is the newest one whose
+rows name them. A reader searches there first, in the layers of its own snapshot and of later ones: the first match is
+the file of its snapshot. A reader holds a shared lock on its snapshot, so `release` can remove the layers that no
+reader needs.
 """
 
 from __future__ import annotations
@@ -22,68 +23,57 @@ from typing import Final
 from mirror.dataset.layout import MANIFEST, MAPS, Layout, complete_manifest
 from mirror.schema.files import TEMPORARY, sha256_bytes, unmovable_error
 from mirror.schema.links import require_inside
+from mirror.schema.snapshot import SNAPSHOTS, snapshot_number, snapshot_path
 
 FOLDER: Final = ".superseded"
 UNLOCKABLE_AGE_S: Final = 24 * 3600
 """Without locks in the file system, readers are unknown: superseded files are then removed after one day."""
 
-_INDEX: Final = f"index/{MANIFEST}"
+_OLD_INDEX: Final = f"index/{MANIFEST}"
+"""The manifest of the index of datasets of earlier versions."""
 _MOVED_WHOLE: Final = (("traversals",), ("drives",), (MAPS,))
 _NONE: Final = "none"
-_PATIENCE_S: Final = 10.0
-_PAUSE_S: Final = 0.005
 _moving: Final = threading.Lock()
 
 
 class Generation:
-    """A generation that a reader has opened and locked.
+    """A snapshot that a reader has opened and locked.
 
     Attributes:
         root: the dataset's folder.
-        manifest: bytes of the index's manifest.
-        sha256: hash of these bytes.
+        number: number of the snapshot.
+        snapshot: bytes of its document.
     """
 
-    def __init__(self, root: Path, handle: int, manifest: bytes) -> None:
+    def __init__(self, root: Path, number: int, handle: int, snapshot: bytes) -> None:
         self.root = root
-        self.manifest = manifest
-        self.sha256 = sha256_bytes(manifest)
+        self.number = number
+        self.snapshot = snapshot
         self._handle = handle
         weakref.finalize(self, os.close, handle)
 
     @classmethod
     def current(cls, root: Path) -> Generation:
-        """Open the current generation of a dataset.
+        """Open the newest snapshot of a dataset.
 
         Raises:
             FileNotFoundError: the dataset has no index.
         """
-        end = time.monotonic() + _PATIENCE_S
         while True:
-            generation = cls._open_locked(root, root / _INDEX)
+            numbers = _numbers(root)
+            if not numbers:
+                raise FileNotFoundError(root / SNAPSHOTS)
+            generation = cls.find(root, numbers[-1])
+            # None: it was removed at this moment, so that there is a newer one.
             if generation is not None:
                 return generation
-            # The manifest is being replaced: try again.
-            if time.monotonic() > end:
-                raise FileNotFoundError(root / _INDEX)
-            if not (root / FOLDER).exists() and not (root / _INDEX).exists():
-                raise FileNotFoundError(root / _INDEX)
-            time.sleep(_PAUSE_S)
 
     @classmethod
-    def find(cls, root: Path, sha256: str) -> Generation | None:
-        """Open a generation by its hash, whether current or superseded; None if it no longer exists."""
-        for path in (root / _INDEX, *(layer / _INDEX for layer in _layers(root)), root / _INDEX):
-            generation = cls._open_locked(root, path)
-            if generation is not None and generation.sha256 == sha256:
-                return generation
-        return None
-
-    @classmethod
-    def _open_locked(cls, root: Path, path: Path) -> Generation | None:
-        """Open and lock the generation of a manifest; None: the file is missing or has been replaced."""
+    def find(cls, root: Path, number: int) -> Generation | None:
+        """Open and lock a snapshot; None if there is none of this number."""
+        path = require_inside(root, snapshot_path(number))
         try:
-            handle = os.open(require_inside(root, path.relative_to(root)), os.O_RDONLY)
+            handle = os.open(path, os.O_RDONLY)
         except (FileNotFoundError, NotADirectoryError):
             return None
         try:
@@ -92,18 +82,11 @@ class Generation:
                 fcntl.flock(handle, fcntl.LOCK_SH)
             if os.path.samestat(os.fstat(handle), os.stat(path)):  # noqa: PTH116 - beside fstat
                 with os.fdopen(os.dup(handle), "rb") as file:
-                    return cls(root, handle, file.read())
+                    return cls(root, number, handle, file.read())
         except FileNotFoundError:
             pass
         os.close(handle)
         return None
-
-    def is_current(self) -> bool:
-        """Return whether no later generation has replaced this one."""
-        try:
-            return os.path.samestat(os.fstat(self._handle), (self.root / _INDEX).stat())
-        except FileNotFoundError:
-            return False
 
     def locate(self, path: str) -> Path | None:
         """Return the place to which a file of this generation was moved; None if it was not moved.
@@ -112,10 +95,12 @@ class Generation:
             path: relative to the dataset's root.
         """
         unit = _unit(path)
-        is_reached = False
+        if unit.parts[:1] == ("index",):
+            return None
         for layer in _layers(self.root):
-            is_reached = is_reached or layer.name.endswith(f".{self.sha256[:16]}")
-            if is_reached and (layer / unit).exists():
+            # The layers of earlier versions are named after hashes, and end before the first snapshot.
+            name = layer.name.partition(".")[2]
+            if name.isdigit() and int(name) >= self.number and (layer / unit).exists():
                 return layer / path
         return None
 
@@ -123,8 +108,8 @@ class Generation:
 def supersede(layout: Layout, path: Path) -> None:
     """Move a file, or the folder of a drive, traversal or map, to where readers of older generations find it.
 
-    The caller holds the dataset's writer lock. A file or folder that was written after the current generation has no
-    reader and is removed.
+    The caller holds the dataset's writer lock and the lock of replacements. A file or folder that was written after the
+    current generation has no reader and is removed.
 
     Args:
         layout: the dataset.
@@ -159,6 +144,10 @@ def recover(layout: Layout) -> None:
         for folder in (layout.root, layout.root / "rigs", layout.root / "splits"):
             for temporary in folder.glob(f".*{TEMPORARY}"):
                 temporary.unlink()
+        for temporary in layout.snapshots.glob(f".*{TEMPORARY}"):
+            # Others may be putting a snapshot now.
+            if time.time() - temporary.stat().st_mtime > UNLOCKABLE_AGE_S:
+                temporary.unlink(missing_ok=True)
         layer = _layer_of(layout, _generation(layout))
         if layer is None:
             return
@@ -172,7 +161,7 @@ def recover(layout: Layout) -> None:
         for folder in sorted((*(layer / "traversals").glob("*"), *(layer / MAPS).glob("*"))):
             if not (layout.root / folder.relative_to(layer)).exists():
                 _restore(layout, folder, layout.root / folder.relative_to(layer))
-        if {path.relative_to(layer).as_posix() for path in layer.rglob("*") if not path.is_dir()} <= {_INDEX}:
+        if {path.relative_to(layer).as_posix() for path in layer.rglob("*") if not path.is_dir()} <= {_OLD_INDEX}:
             _remove(layout, layer)
             with suppress(OSError):
                 (layout.root / FOLDER).rmdir()
@@ -185,14 +174,20 @@ def release(layout: Layout) -> None:
 
     The caller holds the writer lock, and the index is up to date.
     """
+    layers = _layers(layout.root)
+    if not layers and not (layout.root / FOLDER).exists():
+        return
+    numbers = _numbers(layout.root)
     current = _generation(layout)
-    needed = False
-    for layer in _layers(layout.root):
+    for layer in layers:
         # Files in a layer of the current generation were replaced by equal ones: no reader needs them, and readers that
         # open the dataset now must not find them.
-        is_current = layer.name.endswith(f".{current}")
-        needed = needed or (not is_current and _has_readers(layer))
-        if is_current or not needed:
+        name = layer.name.partition(".")[2]
+        if (
+            name == current
+            or not name.isdigit()
+            or not any(_has_readers(layout, number, layer) for number in numbers if number <= int(name))
+        ):
             _remove(layout, layer)
     for unfinished in (layout.root / FOLDER).glob(".*"):
         _remove(layout, unfinished)
@@ -216,10 +211,23 @@ def _layers(root: Path) -> list[Path]:
     return [root / FOLDER / name for _, name in sorted(numbered)]
 
 
+def _numbers(root: Path) -> list[int]:
+    """Numbers of the snapshots, in order."""
+    try:
+        names = os.listdir(require_inside(root, SNAPSHOTS))  # noqa: PTH208 - names are all that is needed
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    return sorted(number for name in names if (number := snapshot_number(name)) is not None)
+
+
 def _generation(layout: Layout) -> str:
     """The name of the current generation in the names of layers."""
+    numbers = _numbers(layout.root)
+    if numbers:
+        return str(numbers[-1])
     try:
-        return sha256_bytes((layout.root / _INDEX).read_bytes())[:16]
+        # A dataset of an earlier version, which is about to be migrated.
+        return sha256_bytes((layout.root / _OLD_INDEX).read_bytes())[:16]
     except FileNotFoundError:
         return _NONE
 
@@ -231,29 +239,21 @@ def _layer_of(layout: Layout, generation: str) -> Path | None:
 
 
 def _current_layer(layout: Layout) -> Path:
-    """The layer of the current generation. A new one gets the manifest, which readers lock."""
+    """The layer of the current generation."""
     generation = _generation(layout)
     layer = _layer_of(layout, generation)
     if layer is not None:
         return layer
     number = max((int(path.name.partition(".")[0]) for path in _layers(layout.root)), default=0) + 1
-    unfinished = layout.root / FOLDER / f".{secrets.token_hex(6)}"
-    (unfinished / "index").mkdir(parents=True)
-    if (layout.root / _INDEX).exists():
-        try:
-            os.link(layout.root / _INDEX, unfinished / _INDEX)
-        except OSError:
-            # Without hard links the manifest is copied. Readers cannot lock the copy and must open the dataset again.
-            shutil.copyfile(layout.root / _INDEX, unfinished / _INDEX)
     layer = layout.root / FOLDER / f"{number}.{generation}"
-    unfinished.rename(layer)
+    layer.mkdir(parents=True)
     return layer
 
 
-def _has_readers(layer: Path) -> bool:
-    """Return whether a reader has locked the generation of a layer."""
+def _has_readers(layout: Layout, number: int, layer: Path) -> bool:
+    """Return whether a reader has locked a snapshot."""
     try:
-        with (layer / _INDEX).open("rb") as file:
+        with (layout.root / snapshot_path(number)).open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
         return False

@@ -10,6 +10,7 @@ from pathlib import Path
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import FileEntry, ImageTotals, Manifest
 from mirror.schema.files import read_json, write_json
+from mirror.schema.snapshot import SNAPSHOTS
 
 MANIFEST = "manifest.json"
 MAPS = "maps"
@@ -41,6 +42,15 @@ class Layout:
     def index(self) -> Path:
         """The folder of the index: the derived tables."""
         return self.root / "index"
+
+    @property
+    def snapshots(self) -> Path:
+        """The folder of the index's snapshots."""
+        return self.root / SNAPSHOTS
+
+    def segment(self, name: str) -> Path:
+        """Return the folder of a segment of the index."""
+        return self.index / name
 
     def rig(self, rig_id: str) -> Path:
         """Return ``rigs/<rig_id>.json``."""

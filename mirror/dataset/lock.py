@@ -21,19 +21,6 @@ from mirror.schema.links import refuse_links_out
 _PAUSES_S: Final = (0.001, 0.01, 0.03, 0.06)
 
 
-def is_being_written(layout: Layout) -> bool:
-    """Return whether a process holds the dataset's writer lock now."""
-    try:
-        with layout.lock.open() as handle:
-            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        # There is no lock file, or this user may not read it.
-        return False
-    return False
-
-
 @contextmanager
 def writer_lock(layout: Layout, *, wait: bool) -> Iterator[None]:
     """Hold the dataset's writer lock; folders that this call created are removed at the end if still empty.
@@ -57,6 +44,38 @@ def writer_lock(layout: Layout, *, wait: bool) -> Iterator[None]:
             with suppress(OSError):
                 for folder in created:
                     folder.rmdir()
+
+
+@contextmanager
+def replacing(layout: Layout) -> Iterator[None]:
+    """Keep other runs from adding to a dataset while this one replaces files; the caller holds the writer lock.
+
+    It waits for the runs that are committing what they made, which takes them seconds.
+    """
+    with _root_locked(layout, fcntl.LOCK_EX):
+        yield
+
+
+@contextmanager
+def adding(layout: Layout) -> Iterator[None]:
+    """Keep other runs from replacing files of a dataset while this one adds to it; any number may add at a time."""
+    with _root_locked(layout, fcntl.LOCK_SH):
+        yield
+
+
+@contextmanager
+def _root_locked(layout: Layout, kind: int) -> Iterator[None]:
+    try:
+        handle = os.open(layout.root, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise unwritable_error(layout.root, error) from error
+    try:
+        # A file system without locks has one writer: that is documented.
+        with suppress(OSError):
+            fcntl.flock(handle, kind)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _acquired(layout: Layout, *, wait: bool) -> IO[str]:
@@ -94,7 +113,7 @@ def _lock(handle: IO[str], *, wait: bool) -> None:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            # A reader that tests whether the dataset is being written holds the lock for a moment.
+            # A run that is just ending holds the lock for a moment more.
             time.sleep(pause_s)
         else:
             return

@@ -1,16 +1,20 @@
-"""What is read before any table: the dataset's document, the manifest of its index, and whether the index is stale."""
+"""What is read before any table: the dataset's document and a snapshot of its index; and whether that is stale."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from mirror.dataset.generation import Generation
+from mirror.dataset.index.build import describe_changes, find_changes
 from mirror.dataset.index.inputs import read_inputs
-from mirror.dataset.layout import MANIFEST, not_a_dataset_error
+from mirror.dataset.index.snapshots import list_snapshots, read_snapshot, read_state
+from mirror.dataset.layout import not_a_dataset_error
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError, SchemaError
-from mirror.schema.documents import DatasetDocument, Manifest
-from mirror.schema.files import parse_json, sha256_bytes
+from mirror.schema.documents import DatasetDocument
+from mirror.schema.files import parse_json
+from mirror.schema.hashing import hash_document
+from mirror.schema.snapshot import SNAPSHOTS, Snapshot
 
 
 def read_document(store: Store) -> DatasetDocument:
@@ -28,46 +32,71 @@ def read_document(store: Store) -> DatasetDocument:
     return parse_json(data, DatasetDocument, store.full_path("dataset.json"))
 
 
-def read_index_manifest(store: Store) -> tuple[Manifest, str]:
-    """Read the manifest of the index; also returns its SHA-256.
+def open_snapshot(store: Store, at: int | None = None) -> tuple[Store, int, Snapshot, str]:
+    """Open a snapshot of the index.
+
+    Args:
+        store: the dataset.
+        at: number of the snapshot; None: the newest one.
+
+    Returns:
+        The store as of that snapshot, the snapshot's number, the snapshot, and the hash of what it holds: equal for
+        equal datasets whose index is compact.
 
     Raises:
-        DatasetError: the dataset has no index.
-        SchemaError: the manifest is invalid.
+        DatasetError: the dataset has no index or no such snapshot, or files of its rows have been replaced since.
+        SchemaError: the snapshot is invalid.
     """
-    path = f"index/{MANIFEST}"
-    try:
-        data = store.read(path) if store.generation is None else store.generation.manifest
-    except FileNotFoundError as error:
-        raise _no_index_error(store) from error
-    return parse_json(data, Manifest, store.full_path(path)), sha256_bytes(data)
+    numbers = list_snapshots(store)
+    if not numbers:
+        raise _no_index_error(store)
+    held, number = store, numbers[-1] if at is None else at
+    if store.folder is not None:
+        # The newest one may be another one by now.
+        generation = Generation.current(store.folder) if at is None else Generation.find(store.folder, at)
+        held, number = Store(store.root, generation), number if generation is None else generation.number
+    if number not in numbers and (at is not None or held.generation is None):
+        raise DatasetError(
+            f"there is no snapshot {number}", file=store.full_path(SNAPSHOTS),
+            expected=f"a number from {numbers[0]} to {numbers[-1]}", remedy="choose another number, or open the newest",
+        )  # fmt: skip
+    if number < numbers[-1]:
+        oldest = read_snapshot(store, numbers[-1]).oldest
+        if number < oldest:
+            raise DatasetError(
+                f"files of snapshot {number} have been replaced or removed since", file=store.full_path(SNAPSHOTS),
+                expected=f"a number from {oldest} to {numbers[-1]}", remedy="choose another number, or open the newest",
+            )  # fmt: skip
+    snapshot = read_snapshot(held, number)
+    return held, number, snapshot, hash_snapshot(snapshot)
 
 
-def hold_generation(store: Store) -> Store:
-    """Return a local store at its current generation, or the unchanged remote store.
+def hash_snapshot(snapshot: Snapshot) -> str:
+    """Return a hash of what a snapshot holds: of one whole segment, that of its manifest."""
+    if len(snapshot.segments) == 1 and snapshot.segments[0].is_whole:
+        return snapshot.segments[0].manifest
+    return hash_document([segment.model_dump(mode="json") for segment in snapshot.segments])
+
+
+def find_staleness(store: Store) -> MirrorError | None:
+    """Return the reason why the newest snapshot is stale; None if it is current.
 
     Raises:
-        DatasetError: the dataset has no index.
+        DatasetError: a file of the index is missing or has changed.
+        SchemaError: a file of the index is invalid.
     """
-    if store.folder is None:
-        return store
+    state = read_state(store)
+    if state is None:
+        return _no_index_error(store)
     try:
-        return Store(store.root, Generation.current(store.folder))
-    except FileNotFoundError as error:
-        raise _no_index_error(store) from error
-
-
-def find_staleness(store: Store, manifest: Manifest) -> MirrorError | None:
-    """Return the reason why an index is stale; None if it is current."""
-    try:
-        current = read_inputs(store).fingerprints
+        inputs = read_inputs(store)
     except (DatasetError, SchemaError) as error:
         return error
-    differing = sorted(key for key, value in current.items() if manifest.derived_from.get(key) != value)
-    if dict(current) == manifest.derived_from:
+    changed = describe_changes(find_changes(state.sources, inputs))
+    if not changed:
         return None
     return DatasetError(
-        f"the index is stale: {len(differing)} of its sources changed ({', '.join(differing[:3])} ...)",
+        f"the index is stale: {len(changed)} of its sources changed ({', '.join(changed[:3])} ...)",
         file=store.full_path("index"),
         expected="an index derived from the present files",
         remedy=f"run `mirror index {store.root}`",

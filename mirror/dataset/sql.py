@@ -120,7 +120,9 @@ def _make_views(connection: duckdb.DuckDBPyConnection, tables: QueriedTables, na
     files: list[str] = []
     is_whole_and_local = tables.filters == Filters() and tables.catalog.store.folder is not None
     for name in names:
-        paths = _files(tables, name) if is_whole_and_local else None
+        # Rows of several segments are put in order, and some of them may be left out.
+        is_in_files = tables.catalog.is_compact if name in GLOBAL else tables.catalog.is_whole
+        paths = _files(tables, name) if is_whole_and_local and is_in_files else None
         if paths:
             listed = ", ".join(_quoted(path) for path in paths)
             # Scenes that were indexed by an earlier version may lack columns.
@@ -134,7 +136,12 @@ def _make_views(connection: duckdb.DuckDBPyConnection, tables: QueriedTables, na
 
 def _files(tables: QueriedTables, name: str) -> list[str]:
     """The Parquet files of a table in the state that the view opened."""
-    relative = [f"index/{name}.parquet"] if name in GLOBAL else dict.fromkeys(tables.catalog.row_groups(name).path)
+    catalog = tables.catalog
+    relative = (
+        [f"index/{segment.name}/{name}.parquet" for segment in catalog.snapshot.segments]
+        if name in GLOBAL
+        else dict.fromkeys(catalog.row_groups(name).path)
+    )
     return [str(tables.catalog.store.read_stable(path, Path.resolve)) for path in relative]
 
 

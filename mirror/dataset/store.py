@@ -60,8 +60,8 @@ class Store:
         self.folder = None if "://" in text or "::" in text else Path(text).absolute()
         self.generation = generation
 
-    def __reduce__(self) -> tuple[Callable[..., Store], tuple[str, str | None]]:
-        return (store_at, (self.root, None if self.generation is None else self.generation.sha256))
+    def __reduce__(self) -> tuple[Callable[..., Store], tuple[str, int | None]]:
+        return (store_at, (self.root, None if self.generation is None else self.generation.number))
 
     def __str__(self) -> str:
         return self.root
@@ -298,15 +298,15 @@ class Store:
             )
 
 
-def store_at(root: str, sha256: str | None) -> Store:
-    """Make a store of the generation with a given hash; for None, a store without a generation.
+def store_at(root: str, snapshot: int | None) -> Store:
+    """Make a store of a dataset as of a snapshot; for None, a store without a generation.
 
     Raises:
-        DatasetError: the generation no longer exists.
+        DatasetError: the snapshot no longer exists.
     """
-    if sha256 is None:
+    if snapshot is None:
         return Store(root)
-    generation = Generation.find(Path(root).absolute(), sha256)
+    generation = Generation.find(Path(root).absolute(), snapshot)
     if generation is None:
         raise DatasetError(
             "the index has changed since this view was made",

@@ -10,11 +10,11 @@ from pathlib import Path
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.dataset import open as open_dataset
 from mirror.dataset.index.build import build_index
-from mirror.dataset.layout import Layout, complete_manifest, require_dataset
+from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.opening import find_staleness
 from mirror.dataset.store import Store
-from mirror.errors import UnwritableError
+from mirror.errors import DatasetError, SchemaError, UnwritableError
 
 
 def open_to_write(path: str | os.PathLike[str]) -> Dataset:
@@ -36,11 +36,19 @@ def open_to_write(path: str | os.PathLike[str]) -> Dataset:
         return open_dataset(path)
     layout = Layout(Path(path))
     require_dataset(layout)
-    manifest = complete_manifest(layout.index)
-    if manifest is None or find_staleness(store, manifest) is not None:
+    if is_to_be_indexed(store):
         with writer_lock(layout, wait=False):
             build_index(layout.root)
     return open_dataset(path)
+
+
+def is_to_be_indexed(store: Store) -> bool:
+    """Return whether the newest snapshot lacks present files, or is missing or damaged."""
+    try:
+        return find_staleness(store) is not None
+    except (DatasetError, SchemaError):
+        # Deriving the index mends it, or names what else is wrong.
+        return True
 
 
 @contextmanager

@@ -232,7 +232,7 @@ def _table_files(bundle: Bundle) -> list[dict[str, Any]]:
                     "name": f"tables/{table.name}",
                     "description": f"The table of {table.name}: one file a scene.",
                     "encodingFormat": _PARQUET,
-                    "includes": table.place.replace("<scene_id>", "*"),
+                    "includes": table.place.replace("<segment>", "*").replace("<scene_id>", "*"),
                 }
             )
     return files
@@ -261,8 +261,8 @@ def _tables(bundle: Bundle) -> list[tuple[Table, list[str]]]:
     """The tables of the index that the bundle has, with their files."""
     found = []
     for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE):
-        head, _, tail = table.place.partition("<scene_id>")
-        names = [name for name in bundle.files if name.startswith(head) and name.endswith(tail)]
+        pattern = table.place.replace("<segment>", "*").replace("<scene_id>", "*")
+        names = [name for name in bundle.files if PurePosixPath(name).match(pattern)]
         if names and table is not ROW_GROUPS:
             found.append((table, names))
     return found

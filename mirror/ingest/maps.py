@@ -10,6 +10,7 @@ from typing import Literal
 
 from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MAPS, Layout, complete_manifest, is_intact, seal
+from mirror.dataset.lock import replacing
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
 from mirror.dataset.recorded_map import MAP_FILE
 from mirror.errors import DatasetError, UsageError
@@ -129,8 +130,9 @@ def add_maps(layout: Layout, maps: Sequence[GivenMap], outcomes: Mapping[str, Ma
         try:
             write_bytes(work.path / MAP_FILE, one.data)
             seal(work.path, {MAP_FILE: one.data}, derived_from={})
-            supersede(layout, folder)
-            work.path.rename(folder)
+            with replacing(layout):
+                supersede(layout, folder)
+                work.path.rename(folder)
         except OSError as error:
             raise unmovable_error(folder, error) from error
         finally:

@@ -1,11 +1,15 @@
-"""A whole ingest: drive by drive judged and written, all published at the end, then the index derived.
+"""A whole ingest: drive by drive judged and written, all committed at the end, and a snapshot of the index put last.
 
 What makes it safe to stop at any instant: a run writes in a folder of its own (`Staging`), where a traversal exists
-once its manifest does; drives move into the dataset at the end, and the index is derived from complete drives alone. A
-second run finds what is complete by its fingerprints and does the rest. Drives and traversals run in parallel on
-threads: the work is in compiled kernels, the file system and hashing, all of which release the interpreter. At most
-two drives a worker are on their way at a time, and nothing that grows with a drive's poses is kept after it, so that
-memory does not grow with the number of drives.
+once its manifest does; drives are committed at the end, file by file, each name once and its manifest last, and the
+index is derived from complete drives alone. A second run finds what is complete by its fingerprints and does the rest.
+
+A run that only adds drives to scenes that the dataset has holds no lock: any number of them may run at a time. A run
+that makes a dataset, adds scenes or maps, or replaces drives holds the writer lock.
+
+Drives and traversals run in parallel on threads: the work is in compiled kernels, the file system and hashing, all of
+which release the interpreter. At most two drives a worker are on their way at a time, and nothing that grows with a
+drive's poses is kept after it, so that memory does not grow with the number of drives.
 """
 
 from __future__ import annotations
@@ -19,17 +23,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
+from mirror.dataset.generation import FOLDER as SUPERSEDED
 from mirror.dataset.generation import recover
-from mirror.dataset.index import build_index
+from mirror.dataset.index import append_drives, build_index
 from mirror.dataset.layout import Layout
-from mirror.dataset.lock import writer_lock
+from mirror.dataset.lock import adding, replacing, writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
 from mirror.ingest.drive import refuse_conflicting_rig, seal_drive, uncalibrated_cameras
 from mirror.ingest.maps import add_maps, judge_maps, read_given_maps
 from mirror.ingest.passes import DrivePasses
 from mirror.ingest.prepare import PreparedDrive, prepare
 from mirror.ingest.request import DriveReport, IngestOptions, IngestReport
-from mirror.ingest.rois import write_rois
+from mirror.ingest.rois import read_rois, write_rois
 from mirror.ingest.settings import IngestSettings, merge_settings, missing_roi_error
 from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteReport, write_traversal
@@ -39,6 +44,7 @@ from mirror.recordings.weather import CLASSIFIERS
 from mirror.schema.documents import Rig, Roi
 from mirror.schema.files import unwritable_error, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
+from mirror.schema.links import refuse_links_out
 
 Result = TypeVar("Result")
 
@@ -61,9 +67,9 @@ def ingest_recordings(
 
     Each recording is one drive. Its poses are cleaned, and the ROI trigger finds its passes (docs/trigger.md). Each
     accepted pass becomes a traversal with its images, poses and calibrations; the drive's ledger lists accepted and
-    refused passes with their figures. The dataset changes only at the end: every complete drive is moved into it, then
-    its index is built. Running the same call again after an interruption does what is missing. Drives that the dataset
-    has unchanged are skipped.
+    refused passes with their figures. The dataset changes only at the end: every complete drive is committed to it,
+    then a snapshot of its index is put. Running the same call again after an interruption does what is missing. Drives
+    that the dataset has unchanged are skipped.
 
     Args:
         recordings: one path per drive, in any format that a recording reader recognises.
@@ -80,7 +86,8 @@ def ingest_recordings(
     Raises:
         UsageError: there is no ROI, a ROI or an option is invalid, a road map is of another scene, or the folder holds
             something other than a dataset.
-        DatasetError: another process writes the dataset, its thresholds differ, or it cannot be written.
+        DatasetError: another process writes the dataset and this run does more than add drives, its thresholds differ,
+            another process committed other bytes under the same name, or it cannot be written.
         SchemaError: a road map is broken.
         MirrorError: the error of the first bad recording, with ``fail_fast``; the dataset is unchanged then.
 
@@ -106,20 +113,63 @@ def ingest_recordings(
     require_output_folder(out, FolderKind.DATASET)
     if not rois and not layout.document.exists():
         raise missing_roi_error()
-    with writer_lock(layout, wait=options.wait):
-        try:
-            recover(layout)
+    try:
+        if _only_adds(layout, options, rois):
+            refuse_links_out(layout.root)
             run = _Run(layout, options, progress, merge_settings(layout, options, rois))
-            _write(run, recordings)
-        except OSError as error:
-            # Files are written through functions that say so themselves; what is left are folders.
-            raise unwritable_error(Path(error.filename or out), error) from error
-        finally:
-            recover(layout)
-            # Ctrl-C and errors, too, leave an index of the drives that are complete.
-            if layout.document.exists():
-                build_index(layout.root)
+            _add(run, recordings)
+            return run.report
+        with writer_lock(layout, wait=options.wait):
+            try:
+                recover(layout)
+                run = _Run(layout, options, progress, merge_settings(layout, options, rois))
+                _write(run, recordings)
+            finally:
+                recover(layout)
+                # Ctrl-C and errors, too, leave an index of the drives that are complete.
+                if layout.document.exists():
+                    build_index(layout.root)
+    except OSError as error:
+        # Files are written through functions that say so themselves; what is left are folders.
+        raise unwritable_error(Path(error.filename or out), error) from error
     return run.report
+
+
+def _only_adds(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) -> bool:
+    """Return whether a run can only add drives, to scenes that the dataset has."""
+    if options.replace or options.maps or not layout.document.exists() or not layout.rois.exists():
+        return False
+    if (layout.root / SUPERSEDED).exists() or not layout.snapshots.is_dir():
+        # A run that replaced files was interrupted, or what it replaced is to be removed once nobody reads it.
+        return False
+    return merge_settings(layout, options, rois).rois == tuple(read_rois(layout.rois))
+
+
+def _add(run: _Run, recordings: Sequence[Path]) -> None:
+    """Add drives, without a lock; where what is there was damaged, it is replaced, with the lock."""
+    staging = Staging(run.layout)
+    done = False
+    try:
+        run.work(recordings, staging)
+        if run.report.drives:
+            run.report.licence = run.settings.document.licence
+        with adding(run.layout):
+            damaged = staging.find_present()
+            if not damaged:
+                append_drives(run.layout, staging.commit(), run.report.unchanged)
+        if damaged:
+            with writer_lock(run.layout, wait=run.options.wait):
+                recover(run.layout)
+                _publish(run.layout, staging)
+                build_index(run.layout.root)
+        done = True
+    finally:
+        staging.close(done=done)
+
+
+def _publish(layout: Layout, staging: Staging) -> None:
+    with replacing(layout):
+        staging.publish()
 
 
 def _refuse_recording_as_dataset(recordings: Sequence[Path], out: Path) -> None:
@@ -148,7 +198,7 @@ def _write(run: _Run, recordings: Sequence[Path]) -> None:
             run.report.licence = document.licence
             write_json(run.layout.document, document)
             write_rois(run.layout.rois, run.settings.rois)
-            staging.publish()
+            _publish(run.layout, staging)
         done = True
     finally:
         staging.close(done=done)

@@ -1,4 +1,4 @@
-"""Where a run writes what it makes: a folder of its own, from which whole drives are moved into the dataset at the end.
+"""Where a run writes what it makes: a folder of its own, from which whole drives get into the dataset at the end.
 
 Until then nobody reads it, so that a reader of the dataset, a failed recording and a killed run leave the dataset as it
 was. What is complete in the folder of a run that is dead is taken over by the next one.
@@ -17,6 +17,7 @@ from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MANIFEST, Layout, complete_manifest
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
 from mirror.dataset.unfinished_work import drop_work
+from mirror.schema.commit import commit_file, commit_folder
 from mirror.schema.files import unmovable_error
 
 FOLDER: Final = ".staging"
@@ -104,11 +105,44 @@ class Staging:
         for folder in (self.layout.drive(drive_id), *(self.layout.root / "traversals").glob(f"*.{drive_id}.*")):
             shutil.rmtree(folder, ignore_errors=True)
 
+    def find_present(self) -> list[str]:
+        """Return the ids of the complete drives that the dataset has too: it has them damaged."""
+        return [name for name in self.layout.drive_ids() if (self.dataset.drive(name) / MANIFEST).exists()]
+
+    def commit(self) -> list[str]:
+        """Give the files of every complete drive their names in the dataset; each manifest comes last.
+
+        Nothing of the dataset is moved or removed. What another run committed with the same bytes is done.
+
+        Returns:
+            The ids of the drives.
+
+        Raises:
+            ConflictError: a file is there with other bytes.
+            DatasetError: the dataset cannot be written.
+        """
+        for rig in sorted((self.layout.root / "rigs").glob("*"), key=lambda path: path.suffix == ".json"):
+            commit_file(rig, self.dataset.root / "rigs" / rig.name)
+        drives = self.layout.drive_ids()
+        for drive_id in drives:
+            manifest = complete_manifest(self.layout.drive(drive_id))
+            for name in sorted(_traversals({} if manifest is None else manifest.derived_from)):
+                if self.layout.traversal(name).exists():
+                    # Its layers come first: a complete traversal is not written again.
+                    self._commit_layers(name)
+                    commit_folder(self.layout.recorded(name), self.dataset.recorded(name), MANIFEST)
+            commit_folder(self.layout.drive(drive_id), self.dataset.drive(drive_id), MANIFEST)
+        return drives
+
+    def _commit_layers(self, name: str) -> None:
+        for layer in self.layout.layers(name):
+            commit_folder(self.layout.layer(name, *layer), self.dataset.layer(name, *layer), MANIFEST)
+
     def publish(self) -> None:
         """Move every complete drive into the dataset, with its traversals and its rig; the drive comes last.
 
         What a drive replaces is superseded: readers of the generation before go on reading it. `recover` undoes what is
-        interrupted between. The caller holds the dataset's writer lock.
+        interrupted between. The caller holds the dataset's writer lock and the lock of replacements.
 
         Raises:
             DatasetError: the dataset cannot be written.

@@ -10,8 +10,11 @@ from pathlib import Path
 import pyarrow as pa
 
 from mirror.dataset.images.decoding import usable_cores
+from mirror.dataset.index.build import find_changes
 from mirror.dataset.index.inputs import IndexInputs, read_inputs, read_rois
+from mirror.dataset.index.snapshots import IndexState, list_snapshots, read_state
 from mirror.dataset.layout import MANIFEST, MAPS, Layout
+from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.recorded_map import MAP_FILE
 from mirror.dataset.splits.candidates import Candidate, Candidates
 from mirror.dataset.splits.leaks import Tie, find_ties
@@ -25,6 +28,7 @@ from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, M
 from mirror.schema.files import Model, read_json, read_table
 from mirror.schema.index_tables import ROW_GROUPS
 from mirror.schema.road_map import RoadMap, read_road_map, require_map_of
+from mirror.schema.snapshot import snapshot_path
 from mirror.schema.tables import PASSES, Table
 
 TRAVERSAL_KEY = "traversal:"
@@ -112,7 +116,7 @@ class DatasetView:
 
     @cached_property
     def folder_manifests(self) -> Mapping[Path, Manifest]:
-        """Manifests of all complete folders but the index's."""
+        """Manifests of all complete folders but those of the index."""
         found = {folder: self._manifest(folder) for folder in self.folders_with_manifest()}
         return {folder: manifest for folder, manifest in found.items() if manifest is not None}
 
@@ -155,9 +159,21 @@ class DatasetView:
         return frozenset() if self.bundle is None else frozenset(self.bundle.withheld)
 
     @cached_property
-    def index_manifest(self) -> Manifest | None:
-        """The index's manifest."""
-        return self._manifest(self.layout.index)
+    def index_state(self) -> IndexState | None:
+        """The newest snapshot of the index with its sources; None if it is missing, or broken: a problem is kept."""
+        numbers = list_snapshots(self.store)
+        try:
+            return read_state(self.store)
+        except MirrorError as error:
+            self.problems[snapshot_path(numbers[-1])] = error
+            return None
+
+    @cached_property
+    def index_manifests(self) -> Mapping[Path, Manifest]:
+        """Manifests of the segments of the newest snapshot."""
+        segments = () if self.index_state is None else self.index_state.snapshot.segments
+        found = {folder: self._manifest(folder) for folder in (self.layout.segment(one.name) for one in segments)}
+        return {folder: manifest for folder, manifest in found.items() if manifest is not None}
 
     @cached_property
     def index_inputs(self) -> IndexInputs | None:
@@ -170,10 +186,15 @@ class DatasetView:
     @cached_property
     def index_row_groups(self) -> pa.Table | None:
         """The index's list of row groups; None where the index is missing, broken or stale."""
-        inputs, manifest = self.index_inputs, self.index_manifest
-        if inputs is None or manifest is None or manifest.derived_from != inputs.fingerprints:
+        inputs, state = self.index_inputs, self.index_state
+        if inputs is None or state is None or find_changes(state.sources, inputs):
             return None
-        return self.table(self.layout.index / f"{ROW_GROUPS.name}.parquet", ROW_GROUPS)
+        try:
+            catalog = Catalog(self.store, state.snapshot)
+            return catalog.read_global(ROW_GROUPS.name, ROW_GROUPS.schema.names)
+        except MirrorError as error:
+            self.problems[self.name(Path(error.file or self.layout.index))] = error
+            return None
 
     @cached_property
     def named_traversals(self) -> Mapping[str, tuple[str, str]]:
@@ -261,8 +282,7 @@ class DatasetView:
 
     def listed_files(self) -> Iterator[tuple[Path, FileEntry]]:
         """Yield the files that manifests list, including the files of the index."""
-        indexed = {} if self.index_manifest is None else {self.layout.index: self.index_manifest}
-        for folder, manifest in {**self.folder_manifests, **indexed}.items():
+        for folder, manifest in {**self.folder_manifests, **self.index_manifests}.items():
             for name, entry in manifest.files.items():
                 yield folder / name, entry
 

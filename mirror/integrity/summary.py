@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from mirror.dataset.index.build import find_changes
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.errors import MirrorError
 from mirror.integrity.dataset_view import DatasetView
@@ -111,7 +112,7 @@ def summarise(root: str | Path) -> DatasetSummary:
 
 
 def _index_state(view: DatasetView) -> str:
-    if view.index_manifest is None:
+    state, inputs = view.index_state, view.index_inputs
+    if state is None:
         return "missing"
-    inputs = view.index_inputs
-    return "current" if inputs is not None and inputs.fingerprints == view.index_manifest.derived_from else "stale"
+    return "current" if inputs is not None and not find_changes(state.sources, inputs) else "stale"

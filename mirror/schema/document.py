@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import pyarrow as pa
 from pydantic import BaseModel
 
-from mirror.schema import behaviours, documents, rollout, scenario
+from mirror.schema import behaviours, documents, rollout, scenario, snapshot
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.page_file import write_page
 from mirror.schema.road_map import RoadMapHeader
@@ -33,6 +33,10 @@ _DOCUMENTS: Sequence[type[BaseModel]] = (
     documents.Manifest,
     documents.FileEntry,
     documents.ImageTotals,
+    snapshot.Snapshot,
+    snapshot.Segment,
+    snapshot.SegmentSources,
+    snapshot.DriveSource,
 )
 
 _SCENARIO: Sequence[type[BaseModel]] = (
@@ -73,7 +77,13 @@ def schema_page() -> str:
     ]
     for table in (PASSES, *RECORDED, *LAYERS):
         lines += _table_lines(table)
-    lines += ["## Tables of the index", "", "`mirror index` derives them from the tables above; do not edit them.", ""]
+    lines += [
+        "## Tables of the index",
+        "",
+        "`mirror index` derives them from the tables above; do not edit them. `index/snapshots/<number>.json` names the"
+        " segments of a state of the index; the newest one has the highest number ([scale.md](scale.md)).",
+        "",
+    ]
     for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE):
         lines += _table_lines(table)
     lines += ["## JSON documents", ""]

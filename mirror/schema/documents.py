@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import PurePosixPath
-from typing import Annotated, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from mirror.schema.hashing import hash_document
 from mirror.schema.links import is_file_name
-from mirror.schema.version import SCHEMA_VERSION
+from mirror.schema.version import DATASET_VERSION, SCHEMA_VERSION
 
 IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_\-]{0,119}$"
 Identifier = Annotated[str, Field(pattern=IDENTIFIER)]
@@ -216,7 +216,10 @@ class DatasetDocument(Document):
         cleaning: the cleaning of every drive.
     """
 
-    schema_version: str = SCHEMA_VERSION
+    needs_migration: ClassVar[bool] = True
+    """Earlier versions are refused with the verb that migrates them (`mirror.schema.version.require_migrated`)."""
+
+    schema_version: str = DATASET_VERSION
     format: Literal["mirror"] = "mirror"
     conventions: str = "docs/conventions.md"
     licence: str | None = None

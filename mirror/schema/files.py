@@ -9,11 +9,14 @@ from __future__ import annotations
 import errno
 import hashlib
 import io
+import itertools
 import json
 import os
+import platform
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,7 +31,7 @@ from mirror.schema.parquet_memory import require_memory
 from mirror.schema.problems import describe_problem_and_value
 from mirror.schema.strict_json import JsonError, decode_json
 from mirror.schema.tables import ADDED, Table
-from mirror.schema.version import SCHEMA_VERSION, require_readable
+from mirror.schema.version import SCHEMA_VERSION, require_migrated, require_readable
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -36,9 +39,21 @@ TEMPORARY = ".tmp"
 """Suffix of the names of unfinished files."""
 
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
-_UNFINISHED = re.compile(r"\..+\.[0-9]+\.tmp", re.DOTALL)
+_UNFINISHED = re.compile(r"\..+\.(?:[0-9a-f]{8}-)?[0-9]+(?:-[0-9]+)?\.tmp", re.DOTALL)
+_attempts = itertools.count()
 _VERSION_KEY = b"mirror_schema_version"
 _TABLE_KEY = b"mirror_table"
+
+
+@cache
+def _host() -> str:
+    """A short name of this machine: those that share a disk must not write under one temporary name."""
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+
+
+def temporary_path(path: Path) -> Path:
+    """Return a path beside a file for its unfinished bytes; its name has machine, process and attempt."""
+    return path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{next(_attempts)}{TEMPORARY}")
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -47,7 +62,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises:
         DatasetError: the folder is not writable or the disk is full; a previous file is unchanged.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+    temporary = temporary_path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -137,7 +152,9 @@ def parse_json(text: bytes, model: type[Model], path: str | Path) -> Model:
             remedy="restore the file; a truncated file ends before its last brace",
         ) from error
     if isinstance(raw, dict) and "schema_version" in model.model_fields:
-        require_readable(raw.get("schema_version"), str(path))
+        require_readable(raw.get("schema_version"), str(path), model.model_fields["schema_version"].default)
+        if getattr(model, "needs_migration", False):
+            require_migrated(str(raw["schema_version"]), str(path))
     try:
         return model.model_validate(raw)
     except ValidationError as error:
@@ -191,7 +208,7 @@ class TableWriter:
     def __init__(self, path: Path, table: Table, metadata: Mapping[bytes, bytes] | None = None) -> None:
         self.path = path
         self._table = table
-        self._temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+        self._temporary = temporary_path(path)
         own = {_VERSION_KEY: SCHEMA_VERSION.encode(), _TABLE_KEY: table.name.encode()}
         self._metadata = {**(metadata or {}), **own}
         try:

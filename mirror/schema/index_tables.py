@@ -36,7 +36,7 @@ def _indexed(table: Table, *extra: pa.Field) -> Table:
     return Table(
         name=table.name,
         row=table.row,
-        place=f"index/{table.name}/<scene_id>.parquet",
+        place=f"index/<segment>/{table.name}/<scene_id>.parquet",
         schema=pa.schema([*_KEYS, *table.schema, *extra]),
         sorted_by=("traversal_id", *table.sorted_by),
     )
@@ -45,7 +45,7 @@ def _indexed(table: Table, *extra: pa.Field) -> Table:
 SCENES: Final = Table(
     name="scenes",
     row="one scene: a region of interest and what was recorded in it (GeoParquet)",
-    place="index/scenes.parquet",
+    place="index/<segment>/scenes.parquet",
     schema=pa.schema(
         [
             column("scene_id", pa.string(), "The scene."),
@@ -79,7 +79,7 @@ SCENES: Final = Table(
 TRAVERSALS: Final = Table(
     name="traversals",
     row="one accepted pass of a drive through a scene (GeoParquet)",
-    place="index/traversals.parquet",
+    place="index/<segment>/traversals.parquet",
     schema=pa.schema(
         [
             column("scene_id", pa.string(), "The scene."),
@@ -127,7 +127,7 @@ TRAVERSALS: Final = Table(
 FRAMES: Final = Table(
     name="frames",
     row="one instant of the rig: an exposure of the reference camera",
-    place="index/frames/<scene_id>.parquet",
+    place="index/<segment>/frames/<scene_id>.parquet",
     schema=pa.schema(
         [
             *_KEYS,
@@ -160,7 +160,7 @@ INDEX_POINTS: Final = _indexed(POINTS)
 INDEX_PASSES: Final = Table(
     name="passes",
     row=PASSES.row,
-    place="index/passes.parquet",
+    place="index/<segment>/passes.parquet",
     schema=PASSES.schema,
     sorted_by=PASSES.sorted_by,
 )
@@ -168,10 +168,11 @@ INDEX_PASSES: Final = Table(
 ROW_GROUPS: Final = Table(
     name="row_groups",
     row="one row group of an index table, that is one traversal's rows, and what a query can skip it by",
-    place="index/row_groups.parquet",
+    place="index/<segment>/row_groups.parquet",
     schema=pa.schema(
         [
             column("table", KEY, "The index table."),
+            # Its words are a part of the bytes, and the bytes of datasets of earlier versions: they leave the segment out.
             column("scene_id", KEY, "Its scene: the file `index/<table>/<scene_id>.parquet`."),
             column("traversal_id", pa.string(), "The traversal whose rows these are."),
             column("row_group", pa.int32(), "Position of the row group in the file."),

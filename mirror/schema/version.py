@@ -9,9 +9,11 @@ from mirror.errors import SchemaError
 from mirror.installation import upgrade_command
 
 SCHEMA_VERSION: Final = "1.1.0"
+DATASET_VERSION: Final = "1.2.0"
+"""Version of ``dataset.json`` alone: datasets before it have an index without snapshots."""
 
 
-def require_readable(stored: object, file: str | PurePath) -> None:
+def require_readable(stored: object, file: str | PurePath, newest: str = SCHEMA_VERSION) -> None:
     """Refuse a schema version that this toolkit cannot read.
 
     A version is readable if its major number is the same and its minor number is not greater (semver).
@@ -19,11 +21,12 @@ def require_readable(stored: object, file: str | PurePath) -> None:
     Args:
         stored: the version string as stored.
         file: the file that holds it, for the message.
+        newest: the newest version that is readable.
 
     Raises:
         SchemaError: the version is not readable; file, both versions and the remedy are named.
     """
-    ours = tuple(int(part) for part in SCHEMA_VERSION.split("."))
+    ours = tuple(int(part) for part in newest.split("."))
     try:
         theirs = tuple(int(part) for part in str(stored).split("."))
     except ValueError:
@@ -33,7 +36,7 @@ def require_readable(stored: object, file: str | PurePath) -> None:
             f"schema version {stored!r} is not a version",
             file=file,
             place="schema_version",
-            expected=f"three numbers such as {SCHEMA_VERSION}",
+            expected=f"three numbers such as {newest}",
             remedy="restore the file from a backup or ingest the recordings again into a new folder",
         )
     if theirs[:2] > ours[:2]:
@@ -51,4 +54,24 @@ def require_readable(stored: object, file: str | PurePath) -> None:
             place="schema_version",
             expected=f"{ours[0]}.x.x",
             remedy="ingest the recordings again into a new folder, or read it with the toolkit that wrote it",
+        )
+
+
+def require_migrated(stored: str, file: str | PurePath) -> None:
+    """Refuse a dataset of an earlier version, whose index has no snapshots.
+
+    Args:
+        stored: the version in ``dataset.json``.
+        file: that file, for the message.
+
+    Raises:
+        SchemaError: the version is earlier than `DATASET_VERSION`; the verb that migrates the dataset is named.
+    """
+    if [int(part) for part in stored.split(".")[:2]] < [int(part) for part in DATASET_VERSION.split(".")[:2]]:
+        raise SchemaError(
+            f"a dataset of version {stored}, whose index has no snapshots",
+            file=file,
+            place="schema_version",
+            expected=f"version {DATASET_VERSION}",
+            remedy=f"run `mirror dataset migrate {PurePath(file).parent}`; a published dataset is published again",
         )

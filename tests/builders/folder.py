@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import cv2
 import numpy as np
 import pyproj
 
+from mirror.dataset.index import build_index
 from mirror.schema.documents import Roi
 
 LON, LAT = 11.5755, 48.1374
@@ -118,9 +120,28 @@ def write_recording(
 
 
 def tree(root: Path, *, but: tuple[str, ...] = (".lock",)) -> dict[str, str]:
-    """Hash of every file under a folder, by relative path."""
+    """Hash of every file under a folder, by relative path.
+
+    Of an index, the files that its newest snapshot names: the others, and the snapshots, tell its history.
+    """
+    past = {file for index in root.rglob("index/snapshots") for file in _past_files(index.parent)}
     return {
         str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(root.rglob("*"))
-        if path.is_file() and path.name not in but
+        if path.is_file() and path.name not in but and path not in past
     }
+
+
+def compact_tree(root: Path) -> dict[str, str]:
+    """Hash of every file of a dataset, by relative path, with its index made compact."""
+    build_index(root, compact=True)
+    return tree(root)
+
+
+def _past_files(index: Path) -> Iterator[Path]:
+    """The snapshots of an index, and the files that its newest one does not name."""
+    newest = max(index.glob("snapshots/*.json"), default=None)
+    named = [] if newest is None else [one["name"] for one in json.loads(newest.read_text())["segments"]]
+    for path in index.rglob("*"):
+        if path.relative_to(index).parts[0] not in named:
+            yield path

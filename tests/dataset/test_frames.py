@@ -20,11 +20,11 @@ from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.index import build_index
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.documents import FileEntry, Manifest
-from mirror.schema.files import read_json, read_table, sha256_bytes, write_json, write_table
+from mirror.schema.files import encode_table, read_table
 from mirror.schema.index_tables import INDEX_IMAGES
 from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, MASKS
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, calibration, mask_row
+from tests.builders.index import segment_folder, tamper
 
 CAMERAS = ("front_wide", "front_left", "front_right")
 SIZE = (48, 32)
@@ -320,15 +320,11 @@ def test_a_uri_that_leads_out_is_refused(tmp_path: Path) -> None:
     builder.drive("d", [Pass("a", frames=1, images=ENCODED)])
     (tmp_path / "secret").write_bytes(b"x" * 2000)
     build_index(builder.root)
-    path = builder.root / "index" / "images" / "a.parquet"
+    path = segment_folder(builder.root) / "images" / "a.parquet"
     table = read_table(path, INDEX_IMAGES)
     outside = ["traversals/../../secret"] * table.num_rows
-    write_table(path, table.set_column(table.column_names.index("uri"), "uri", [outside]), INDEX_IMAGES)
-    manifest = read_json(builder.root / "index" / "manifest.json", Manifest)
-    data = path.read_bytes()
-    entry = FileEntry(bytes=len(data), sha256=sha256_bytes(data))
-    tampered = manifest.model_copy(update={"files": {**manifest.files, "images/a.parquet": entry}})
-    write_json(builder.root / "index" / "manifest.json", tampered)
+    changed = table.set_column(table.column_names.index("uri"), "uri", [outside])
+    tamper(builder.root, {"images/a.parquet": encode_table(changed, INDEX_IMAGES)})
     with pytest.raises(DatasetError, match="leads out of the dataset"):
         mirror.open(builder.root).frames()[0].decode()
 

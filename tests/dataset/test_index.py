@@ -19,9 +19,10 @@ from mirror.dataset.index import build_index
 from mirror.errors import DatasetError, SchemaError
 from mirror.geometry.geodesy import TangentFrame
 from mirror.schema.files import read_table, write_table
-from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
+from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL, ROW_GROUPS
 from mirror.schema.tables import BOXES, IMAGES, MASKS
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, mask_row, write_reconstruction
+from tests.builders.index import segment_folder, segment_names
 from tests.interruption import interrupt_before
 
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -42,8 +43,16 @@ def two_scenes(root: Path, order: tuple[str, ...] = ("d1", "d2", "d3")) -> Build
 
 
 def index_bytes(root: Path) -> dict[str, bytes]:
-    index = root / "index"
+    """The files of the only segment of the newest snapshot."""
+    index = segment_folder(root)
     return {str(path.relative_to(index)): path.read_bytes() for path in sorted(index.rglob("*")) if path.is_file()}
+
+
+def tables_of(root: Path) -> dict[str, list[dict[str, object]]]:
+    """All rows that a reader sees, by table; row groups have numbers by file."""
+    dataset = mirror.open(root)
+    tables = [table for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE) if table is not ROW_GROUPS]
+    return {table.name: dataset.table(table.name).to_pylist() for table in tables}
 
 
 def test_every_table_follows_its_specification(tmp_path: Path) -> None:
@@ -56,14 +65,14 @@ def test_every_table_follows_its_specification(tmp_path: Path) -> None:
     assert report.scenes_written == ("a", "b")
     files = index_bytes(tmp_path)
     for table in INDEX_GLOBAL:
-        data = read_table(tmp_path / table.place, table)
+        data = read_table(tmp_path / table.place.replace("<segment>", segment_folder(tmp_path).name), table)
         assert data.num_rows == report.rows.get(table.name, data.num_rows)
     for table in INDEX_BY_SCENE:
         scenes = [name for name in files if name.startswith(f"{table.name}/")]
-        rows = sum(read_table(tmp_path / "index" / name, table).num_rows for name in scenes)
+        rows = sum(read_table(segment_folder(tmp_path) / name, table).num_rows for name in scenes)
         assert rows == report.rows[table.name] > 0
         for name in scenes:
-            file = pq.ParquetFile(tmp_path / "index" / name)
+            file = pq.ParquetFile(segment_folder(tmp_path) / name)
             groups = [
                 file.read_row_group(k, ["traversal_id"]).column(0).unique().to_pylist()
                 for k in range(file.num_row_groups)
@@ -130,6 +139,7 @@ def test_bytes_do_not_depend_on_the_order_of_ingest_or_on_history(tmp_path: Path
     build_index(tmp_path / "three")
     two_scenes(tmp_path / "three")
     build_index(grown.root)
+    build_index(grown.root, compact=True)
     expected = index_bytes(tmp_path / "one")
     assert index_bytes(tmp_path / "two") == expected
     assert index_bytes(tmp_path / "three") == expected
@@ -149,15 +159,17 @@ def test_only_changed_scenes_are_derived(tmp_path: Path) -> None:
     builder.drive("d4", [Pass("b", EPOCH + 900 * SECOND)])
     report = build_index(tmp_path, progress=lambda done, total: seen.append((done, total)))
     assert report.scenes_written == ("b",) and report.scenes_kept == ("a",)
-    assert seen == [(1, 3), (2, 3), (3, 3)]
-    untouched = [path for path, stamp in before.items() if path.stat().st_mtime_ns == stamp]
-    assert {path.stem for path in untouched} == {"a"}
+    assert seen == [(1, 1)]
+    # What there was stays as it was: the new drive has a segment of its own.
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert len(segment_names(tmp_path)) == 2
 
     builder.layer("a.d1.1700000000000", "boxes", "petr@2", BOXES, [box(EPOCH, "t")])
-    assert build_index(tmp_path).scenes_written == ("a",)
-    incremental = index_bytes(tmp_path)
+    assert build_index(tmp_path).scenes_written == ("a", "b")
+    incremental = tables_of(tmp_path)
     build_index(tmp_path, force=True)
-    assert index_bytes(tmp_path) == incremental
+    assert len(segment_names(tmp_path)) == 1
+    assert tables_of(tmp_path) == incremental
 
 
 def test_a_scene_that_is_gone_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -167,18 +179,23 @@ def test_a_scene_that_is_gone_leaves_nothing_behind(tmp_path: Path) -> None:
         shutil.rmtree(builder.layout.drive(drive_id))
     del builder.scenes["b"]
     builder.write_rois()
-    (tmp_path / "index" / "images" / ".a.parquet.1.tmp").write_bytes(b"left by a killed run")
     build_index(tmp_path)
-    assert not [name for name in index_bytes(tmp_path) if "b.parquet" in name or name.endswith(".tmp")]
-    assert mirror.open(tmp_path).scenes() == ["a"]
+    left = mirror.open(tmp_path)
+    assert left.scenes() == ["a"] and left.drives() == ["d2"]
+    assert set(left.table("images", ["scene_id"]).column(0).to_pylist()) == {"a"}
+    # Their files are gone, so that earlier snapshots are not opened.
+    with pytest.raises(DatasetError, match="have been replaced or removed"):
+        mirror.open(tmp_path, at=1)
+    build_index(tmp_path, compact=True)
+    assert not [name for name in index_bytes(tmp_path) if "b.parquet" in name]
 
 
-@pytest.mark.parametrize("damage", ["images/a.parquet", "traversals.parquet", "manifest.json"])
+@pytest.mark.parametrize("damage", ["images/a.parquet", "traversals.parquet", "manifest.json", "sources.json"])
 def test_a_damaged_index_is_made_again(tmp_path: Path, damage: str) -> None:
     two_scenes(tmp_path)
     build_index(tmp_path)
     expected = index_bytes(tmp_path)
-    path = tmp_path / "index" / damage
+    path = segment_folder(tmp_path) / damage
     path.write_bytes(path.read_bytes()[:-7])
     assert build_index(tmp_path).scenes_written == ("a", "b")
     assert index_bytes(tmp_path) == expected
@@ -188,14 +205,14 @@ def test_a_run_killed_before_the_manifest_is_made_good(tmp_path: Path) -> None:
     builder = two_scenes(tmp_path)
     build_index(tmp_path)
     builder.drive("d4", [Pass("b", EPOCH + 900 * SECOND)])
-    with interrupt_before("index/manifest.json"):
+    with interrupt_before("index/snapshots/*"):
         build_index(tmp_path)
-    with pytest.raises(DatasetError, match="stale"):
-        mirror.open(tmp_path)
+    assert mirror.open(tmp_path).drives() == ["d1", "d2", "d3"]
     build_index(tmp_path)
-    made_good = index_bytes(tmp_path)
+    assert mirror.open(tmp_path).drives() == ["d1", "d2", "d3", "d4"]
+    made_good = tables_of(tmp_path)
     build_index(tmp_path, force=True)
-    assert index_bytes(tmp_path) == made_good
+    assert tables_of(tmp_path) == made_good
 
 
 def geo_of(path: Path) -> dict[str, object]:
@@ -206,7 +223,7 @@ def test_scenes_and_traversals_are_geoparquet(tmp_path: Path) -> None:
     two_scenes(tmp_path)
     build_index(tmp_path)
     for name, kind in (("scenes", "Polygon"), ("traversals", "LineString")):
-        path = tmp_path / "index" / f"{name}.parquet"
+        path = segment_folder(tmp_path) / f"{name}.parquet"
         geo = geo_of(path)
         column = geo["columns"]["geometry"]
         assert geo["version"] == "1.1.0" and geo["primary_column"] == "geometry"
@@ -217,11 +234,11 @@ def test_scenes_and_traversals_are_geoparquet(tmp_path: Path) -> None:
         shapes = [shapely.from_wkb(row["geometry"]) for row in rows]
         assert [list(row["bbox"].values()) for row in rows] == [list(shape.bounds) for shape in shapes]
         assert np.allclose(shapely.total_bounds(shapes), column["bbox"], atol=0)
-    scene = pq.read_table(tmp_path / "index" / "scenes.parquet").to_pylist()[0]
+    scene = pq.read_table(segment_folder(tmp_path) / "scenes.parquet").to_pylist()[0]
     area, _ = GEOD.geometry_area_perimeter(shapely.from_wkb(scene["geometry"]))
     assert scene["traversals"] == 2 and scene["drives"] == 2 and scene["images"] == 29
     assert area == pytest.approx(np.pi * 200.0**2, rel=2e-4)
-    for row in pq.read_table(tmp_path / "index" / "traversals.parquet").to_pylist():
+    for row in pq.read_table(segment_folder(tmp_path) / "traversals.parquet").to_pylist():
         length = GEOD.geometry_length(shapely.from_wkb(row["geometry"]))
         assert length == pytest.approx(row["path_m"], abs=1e-4)
 
@@ -231,7 +248,7 @@ def test_a_local_frame_has_no_geometry_and_no_crs(tmp_path: Path) -> None:
     builder.scene("a", frame="map", x_m=10.0, y_m=-4.0)
     builder.drive("d", [Pass("a")])
     build_index(tmp_path)
-    column = geo_of(tmp_path / "index" / "traversals.parquet")["columns"]["geometry"]
+    column = geo_of(segment_folder(tmp_path) / "traversals.parquet")["columns"]["geometry"]
     assert column["crs"] is None and column["geometry_types"] == []
     row = mirror.open(tmp_path).table("traversals", ["geometry", "bbox"]).to_pylist()[0]
     assert row == {"geometry": None, "bbox": None}
@@ -246,7 +263,7 @@ def test_shapes_do_not_break_at_the_antimeridian(tmp_path: Path) -> None:
     builder.drive("d", [one])
     build_index(tmp_path)
     scene, line = (
-        shapely.from_wkb(pq.read_table(tmp_path / "index" / f"{name}.parquet").column("geometry")[0].as_py())
+        shapely.from_wkb(pq.read_table(segment_folder(tmp_path) / f"{name}.parquet").column("geometry")[0].as_py())
         for name in ("scenes", "traversals")
     )
     assert scene.bounds[2] - scene.bounds[0] < 0.01

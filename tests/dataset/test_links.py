@@ -49,9 +49,11 @@ def read_masks(root: Path) -> object:
 @pytest.mark.parametrize(
     ("pattern", "read"),
     [
-        ("index/images/*.parquet", read_images),
-        ("index/images", read_images),
-        ("index/manifest.json", read_images),
+        ("index/*/images/*.parquet", read_images),
+        ("index/*/images", read_images),
+        ("index/*/manifest.json", read_images),
+        ("index/snapshots", read_images),
+        ("index/snapshots/*.json", read_images),
         ("index", read_images),
         ("dataset.json", read_images),
         ("traversals", decode_images),
@@ -77,7 +79,9 @@ def test_reading_through_a_link_that_leads_out_is_refused(
     read(root)
 
 
-@pytest.mark.parametrize("pattern", ["index/images/*.parquet", "traversals/*/layers", "splits", "drives/*/drive.json"])
+@pytest.mark.parametrize(
+    "pattern", ["index/*/images/*.parquet", "traversals/*/layers", "splits", "drives/*/drive.json"]
+)
 def test_every_verb_that_walks_a_dataset_refuses_a_link(root: Path, tmp_path: Path, pattern: str) -> None:
     lead_out(sorted(root.glob(pattern))[0])
     out = tmp_path / "out"

@@ -165,20 +165,22 @@ def test_a_long_query_can_be_interrupted(street: Dataset) -> None:
 
 
 OTHERS = """
-import sys
+import json, sys
 from pathlib import Path
 import {module}
-root = Path(sys.argv[1])
+index = Path(sys.argv[1]) / "index"
+snapshot = json.loads(max(index.glob("snapshots/*.json")).read_text())
+segments = [index / one["name"] for one in snapshot["segments"]]
 {read}
 assert not [name for name in sys.modules if name.split(".")[0] == "mirror"]
 print(len(traversals), len(images), images["byte_length"].sum(), sorted(set(images["camera"])))
 """
 READERS = {
-    "pandas": "traversals = pandas.read_parquet(root / 'index' / 'traversals.parquet')\n"
-    "paths = sorted((root / 'index' / 'images').glob('*.parquet'))\n"
+    "pandas": "traversals = pandas.concat(pandas.read_parquet(one / 'traversals.parquet') for one in segments)\n"
+    "paths = [path for one in segments for path in sorted(one.glob('images/*.parquet'))]\n"
     "images = pandas.concat(map(pandas.read_parquet, paths))",
-    "polars": "traversals = polars.read_parquet(root / 'index' / 'traversals.parquet')\n"
-    "images = polars.read_parquet(root / 'index' / 'images' / '*.parquet')",
+    "polars": "traversals = polars.concat(polars.read_parquet(one / 'traversals.parquet') for one in segments)\n"
+    "images = polars.concat(polars.read_parquet(one / 'images' / '*.parquet') for one in segments)",
 }
 
 

@@ -6,6 +6,7 @@ import hashlib
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from mirror.schema.files import write_bytes
 from tests.builders.dataset import SECOND
@@ -44,13 +45,18 @@ def of(rule: str, change: Callable[[Broken], object], file: str | None = None, *
     return Edit(rule, change, file, frozenset(also), seal)
 
 
+def place(broken: Broken, path: str) -> Path:
+    """The file or folder at a path, in which a pattern stands for the name of the index's segment."""
+    return next(iter(sorted(broken.root.glob(path))), broken.root / path) if "*" in path else broken.root / path
+
+
 def put(path: str, data: bytes) -> Callable[[Broken], object]:
     return lambda broken: write_bytes(broken.root / path, data)
 
 
 def drop(path: str) -> Callable[[Broken], object]:
     def change(broken: Broken) -> None:
-        target = broken.root / path
+        target = place(broken, path)
         shutil.rmtree(target) if target.is_dir() else target.unlink()
 
     return change
@@ -78,7 +84,7 @@ def plus(column: str, amount: float) -> Callable[[dict[str, float]], float]:
 
 def cut(path: str, size: int) -> Callable[[Broken], object]:
     def change(broken: Broken) -> None:
-        file = broken.root / path
+        file = place(broken, path)
         write_bytes(file, file.read_bytes()[:size])
 
     return change

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 import shutil
@@ -18,6 +19,7 @@ from mirror.schema.documents import ByScene
 from mirror.schema.files import write_bytes
 from mirror.schema.road_map import MapArea, RoadMap, encode_road_map
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
+from tests.builders.index import segment_folder, tamper
 from tests.integrity.clean import FRAME_NS, FRAMES, Broken
 from tests.integrity.edit import (
     A0,
@@ -33,10 +35,14 @@ from tests.integrity.edit import (
     first_image,
     key,
     of,
+    place,
     put,
     rename,
     rows,
 )
+
+_SCENES = "index/[0-9a-f]*/scenes.parquet"
+_SNAPSHOT = "index/snapshots/00000001.json"
 
 
 def edits() -> Iterator[Edit]:
@@ -97,28 +103,28 @@ def _rename_scene(broken: Broken) -> None:
 
 def _files() -> Iterator[Edit]:
     yield of("FIL001", drop(f"{BOXES}/boxes.parquet"), f"{BOXES}/boxes.parquet", "IDX003", seal=False)
-    yield of("FIL001", drop("index/scenes.parquet"), "index/scenes.parquet", seal=False)
-    yield of("FIL002", cut("index/scenes.parquet", 40), "index/scenes.parquet", seal=False)
-    yield of("FIL003", _flip_byte, "index/scenes.parquet", seal=False)
+    yield of("FIL001", drop(_SCENES), _SCENES, seal=False)
+    yield of("FIL002", cut(_SCENES, 40), _SCENES, seal=False)
+    yield of("FIL003", _flip_byte, _SCENES, seal=False)
     yield of("IDX001", drop("index"), "index", seal=False)
-    yield of("IDX001", put(f"index/{MANIFEST}", b"{"), f"index/{MANIFEST}", seal=False)
-    yield of("IDX002", drop(f"{BOXES}"), f"index/{MANIFEST}", seal=False)
-    yield of("IDX003", _forget_index_rows, "index/boxes/a.parquet", "FIL002", seal=False)
+    yield of("IDX001", put(_SNAPSHOT, b"{"), _SNAPSHOT, seal=False)
+    yield of("IDX002", drop(f"{BOXES}"), _SNAPSHOT, seal=False)
+    yield of("IDX003", _forget_index_rows, "index", seal=False)
 
 
 def _flip_byte(broken: Broken) -> None:
-    file = broken.root / "index/scenes.parquet"
+    file = place(broken, _SCENES)
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1
     write_bytes(file, bytes(data))
 
 
 def _forget_index_rows(broken: Broken) -> None:
-    path = broken.root / "index/row_groups.parquet"
-    table = pq.read_table(path)
+    table = pq.read_table(segment_folder(broken.root) / "row_groups.parquet")
     rows = [row for row in table.to_pylist() if not (row["table"] == "boxes" and row["scene_id"] == "a")]
-    path.unlink()
-    pq.write_table(type(table).from_pylist(rows, schema=table.schema), path)
+    sink = io.BytesIO()
+    pq.write_table(type(table).from_pylist(rows, schema=table.schema), sink)
+    tamper(broken.root, {"row_groups.parquet": sink.getvalue()})
 
 
 def _tables() -> Iterator[Edit]:

@@ -39,6 +39,7 @@ from mirror.schema.files import read_json, read_table, write_json
 from mirror.schema.road_map import write_road_map
 from mirror.schema.tables import IMAGES, MASKS
 from tests.builders.dataset import Builder, encode_rows, write_reconstruction
+from tests.builders.index import segment_folder
 from tests.metrics.safety.streets import two_way_street
 from tests.privacy.conftest import FACE, RED, marked, write_image
 from tests.privacy.images import jpeg
@@ -361,7 +362,7 @@ def test_one_key_gives_the_same_pseudonyms(dataset: Path, tmp_path: Path) -> Non
         assert build(dataset, out, "--sample", "0", "--vault", str(tmp_path / vault)) == 0
         names.append(mirror.open(str(out)).traversals())
     assert names[0] == names[1] != names[2]
-    assert complete_manifest(Layout(tmp_path / "0").index) is not None
+    assert complete_manifest(segment_folder(tmp_path / "0")) is not None
 
 
 def test_a_vault_that_is_kept_too_long_is_found(released: Path, tmp_path: Path) -> None:

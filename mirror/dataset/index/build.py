@@ -1,33 +1,31 @@
-"""Building the index. Only scenes with changed inputs are derived; the manifest is written last."""
+"""Building the index: what changed is derived into a segment, and a snapshot with it is put last."""
 
 from __future__ import annotations
 
-import hashlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import pyarrow as pa
-import pyarrow.compute as pc
-
-from mirror.dataset.generation import recover, release, supersede
-from mirror.dataset.index.global_tables import (
-    accepted_passes,
-    encode_global,
-    read_passes,
-    rows_to_table,
-)
+from mirror.dataset.generation import recover, release
 from mirror.dataset.index.inputs import IndexInputs, read_inputs
-from mirror.dataset.index.scene_tables import plain_schema, write_scene_tables
-from mirror.dataset.index.traversal_table import PreviousTraversals, TraversalTable
-from mirror.dataset.layout import MANIFEST, Layout, read_manifest
+from mirror.dataset.index.segment import is_segment_intact, write_segment
+from mirror.dataset.index.snapshots import (
+    IndexState,
+    list_snapshots,
+    newest_segments,
+    put_snapshot,
+    read_snapshot,
+    read_state,
+)
+from mirror.dataset.layout import Layout
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
-from mirror.schema.documents import DatasetDocument, FileEntry, Manifest
-from mirror.schema.files import read_json, read_table, sha256_bytes, unwritable_error, write_bytes, write_json
-from mirror.schema.index_tables import INDEX_BY_SCENE, ROW_GROUPS, TRAVERSALS
+from mirror.schema.commit import ConflictError
+from mirror.schema.documents import DatasetDocument
+from mirror.schema.files import read_json
+from mirror.schema.index_tables import INDEX_BY_SCENE
+from mirror.schema.snapshot import DriveSource, SegmentSources
 
 Progress = Callable[[int, int], None]
 
@@ -37,30 +35,68 @@ class IndexReport:
     """The result of building the index.
 
     Attributes:
-        scenes_written: scenes with newly derived tables.
+        snapshot: number of the newest snapshot.
+        segments: number of its segments.
+        scenes_written: scenes with newly derived rows.
         scenes_kept: scenes without changed inputs.
         rows: number of rows in the index, by table.
         seconds: duration of the build.
     """
 
+    snapshot: int
+    segments: int
     scenes_written: tuple[str, ...]
     scenes_kept: tuple[str, ...]
     rows: Mapping[str, int]
     seconds: float
 
 
-def build_index(
-    root: str | Path, *, force: bool = False, check_sizes: bool = False, progress: Progress | None = None
-) -> IndexReport:
-    """Derive the index tables that are not current, and keep the others.
+@dataclass(frozen=True)
+class IndexChanges:
+    """The difference of an index from its inputs.
 
-    The bytes are a pure function of the rest of the dataset and do not depend on the order of ingest. The caller holds
-    the dataset's writer lock.
+    Attributes:
+        drives: new drives, and drives with changed inputs.
+        scenes: new and changed scenes.
+        maps: new and changed maps.
+        without_drives: drives that are gone.
+        without_scenes: scenes that are gone.
+        without_maps: scenes whose map is gone.
+        loses_rows: files of the index's rows have been replaced or removed.
+    """
+
+    drives: frozenset[str]
+    scenes: frozenset[str]
+    maps: frozenset[str]
+    without_drives: frozenset[str] = frozenset()
+    without_scenes: frozenset[str] = frozenset()
+    without_maps: frozenset[str] = frozenset()
+    loses_rows: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.drives or self.scenes or self.maps or self.without_drives or self.without_scenes) or bool(
+            self.without_maps
+        )
+
+
+def build_index(
+    root: str | Path,
+    *,
+    force: bool = False,
+    compact: bool = False,
+    check_sizes: bool = False,
+    progress: Progress | None = None,
+) -> IndexReport:
+    """Derive the rows whose inputs have changed since the newest snapshot, and put the next snapshot.
+
+    A first, a forced and a compact build have one segment, whose bytes are a pure function of the rest of the dataset
+    and do not depend on the order of ingest. The caller holds the dataset's writer lock.
 
     Args:
         root: the dataset's folder.
-        force: derive every scene again.
-        check_sizes: compare the sizes of all recorded tables with their manifests, also in scenes that are kept.
+        force: derive everything again.
+        compact: derive everything again, unless the newest snapshot has one segment that is whole and up to date.
+        check_sizes: compare the sizes of all recorded tables with their manifests, also of drives that are kept.
         progress: called with the number of traversals that are done and the total.
 
     Raises:
@@ -71,57 +107,127 @@ def build_index(
     layout = Layout(Path(root))
     recover(layout)
     read_json(layout.document, DatasetDocument)
+    state = _intact_state(layout)
+    known = newest_segments(layout)
     inputs = read_inputs(Store(layout.root))
     if check_sizes:
         _require_recorded_sizes(layout, inputs)
-    previous = None if force else _intact_manifest(layout)
-    kept = _unchanged(previous, inputs)
-    if previous is not None and previous.derived_from == inputs.fingerprints:
-        _remove_strays(layout, previous)
+    changes = None if state is None else find_changes(state.sources, inputs)
+    is_whole = force or state is None or (compact and (bool(changes) or not _is_compact(state)))
+    # A segment cannot say that a map is gone.
+    is_whole = is_whole or bool(changes is not None and changes.without_maps)
+    if changes is not None and not changes and not is_whole:
         release(layout)
-        return IndexReport((), tuple(inputs.scenes), _rows(layout), time.perf_counter() - start)
+        return _report(layout, (), tuple(inputs.scenes), start)
+    if changes is None or is_whole:
+        loses = bool(known) if changes is None else changes.loses_rows
+        maps = frozenset(inputs.map_hashes)
+        changes = IndexChanges(frozenset(inputs.drives), frozenset(inputs.scenes), maps, loses_rows=loses)
+    part = inputs.part(changes.drives, changes.scenes, changes.maps)
+    count, to_do = 0, len(part.traversals)
 
-    passes = read_passes(layout, inputs)
-    ledger = accepted_passes(passes)
-    to_do = sum(traversal.scene_id not in kept for traversal in inputs.traversals.values())
-    count = 0
-
-    def add_traversal(row: Mapping[str, Any]) -> None:
+    def add() -> None:
         nonlocal count
-        traversals.add(row)
         count += 1
         if progress is not None:
             progress(count, to_do)
 
-    entries: dict[str, FileEntry] = {}
-    groups = [_kept_row_groups(layout, kept)]
-    traversals, earlier = TraversalTable(layout), PreviousTraversals(layout)
-    try:
-        for scene_id in inputs.scenes:
-            if scene_id in kept:
-                for row in earlier.rows_of(scene_id):
-                    traversals.add(row)
-                continue
-            own = [(item, ledger[key]) for key, item in inputs.traversals.items() if item.scene_id == scene_id]
-            derived = write_scene_tables(layout, scene_id, own, add_traversal)
-            for name, file in derived.files.items():
-                _publish(layout, f"{name}/{scene_id}.parquet", file, entries)
-            groups.append(rows_to_table(derived.row_groups, ROW_GROUPS))
-    except BaseException:
-        traversals.abandon()
-        raise
-    _publish(layout, f"{TRAVERSALS.name}.parquet", traversals.finish(), entries)
-    if previous is not None:
-        entries.update({name: entry for name, entry in previous.files.items() if _scene_of(name) in kept})
-    for name, data in encode_global(inputs, passes, traversals.rows, pa.concat_tables(groups)).items():
-        _write(layout, f"{name}.parquet", data, entries)
-
-    manifest = Manifest(derived_from=dict(sorted(inputs.fingerprints.items())), files=dict(sorted(entries.items())))
-    write_json(layout.index / MANIFEST, manifest)
-    _remove_strays(layout, manifest)
+    segment = write_segment(layout, part, add, repair=True)
+    put_snapshot(
+        layout,
+        segment,
+        without_segments=known if is_whole else frozenset(),
+        without_drives=changes.without_drives,
+        without_scenes=changes.without_scenes,
+        loses_rows=changes.loses_rows,
+    )
     release(layout)
-    changed = tuple(scene_id for scene_id in inputs.scenes if scene_id not in kept)
-    return IndexReport(changed, tuple(sorted(kept)), _rows(layout), time.perf_counter() - start)
+    written = {one.scene_id for one in part.traversals.values()} | changes.scenes
+    kept = tuple(scene_id for scene_id in inputs.scenes if scene_id not in written)
+    return _report(layout, tuple(sorted(written)), kept, start)
+
+
+def append_drives(layout: Layout, drives: Collection[str], found: Collection[str] = ()) -> int:
+    """Add new drives to the index, and the scenes that it does not have. No other drive is opened, and no lock is held.
+
+    Args:
+        layout: the dataset.
+        drives: complete drives that this run committed.
+        found: complete drives that it found: they are added if an interrupted run did not put its snapshot.
+
+    Returns:
+        The number of the newest snapshot.
+
+    Raises:
+        DatasetError: a file is missing or differs from the one in a manifest, or the index cannot be written.
+        SchemaError: a file is broken.
+    """
+    store = Store(layout.root)
+    numbers = list_snapshots(store)
+    known = read_snapshot(store, numbers[-1]) if numbers else None
+    known_drives = {} if known is None else known.drives
+    inputs = read_inputs(store, {*drives, *(drive_id for drive_id in found if drive_id not in known_drives)})
+    have = frozenset() if known is None else frozenset(known.scenes)
+    part = inputs.part(inputs.drives, inputs.scenes.keys() - have)
+    if known is not None and not part.drives and not part.scenes:
+        return numbers[-1]
+    try:
+        return put_snapshot(layout, write_segment(layout, part))
+    except ConflictError as error:
+        raise DatasetError(
+            "a segment of the index is damaged", file=error.file, expected="the file that its manifest names",
+            remedy=f"run `mirror index {layout.root}`, which also adds the drives of this run",
+        ) from error  # fmt: skip
+
+
+def find_changes(indexed: SegmentSources, inputs: IndexInputs) -> IndexChanges:
+    """Find what differs between the sources of an index and the present inputs."""
+    now = inputs.sources
+    changed = frozenset(key for key, one in now.drives.items() if indexed.drives.get(key) != one)
+    scenes = frozenset(key for key, value in now.scenes.items() if indexed.scenes.get(key) != value)
+    maps = frozenset(key for key, value in now.maps.items() if indexed.maps.get(key) != value)
+    gone = frozenset(indexed.drives.keys() - now.drives.keys())
+    gone_scenes = frozenset(indexed.scenes.keys() - now.scenes.keys())
+    if indexed.derivation != now.derivation and (indexed.drives or indexed.scenes):
+        changed, scenes = frozenset(now.drives), frozenset(now.scenes)
+    replaced = any(_loses_rows(indexed.drives[key], now.drives[key]) for key in changed if key in indexed.drives)
+    loses = bool(gone) or replaced or any(key in indexed.maps for key in maps)
+    gone_maps = frozenset(indexed.maps.keys() - now.maps.keys())
+    return IndexChanges(changed, scenes, maps, gone, gone_scenes, gone_maps, loses or bool(gone_maps))
+
+
+def describe_changes(changes: IndexChanges) -> list[str]:
+    """Return the names of what changed, as ``kind:id``."""
+    return [
+        *(f"drive:{key}" for key in sorted(changes.drives | changes.without_drives)),
+        *(f"scene:{key}" for key in sorted(changes.scenes | changes.without_scenes)),
+        *(f"map:{key}" for key in sorted(changes.maps | changes.without_maps)),
+    ]
+
+
+def _loses_rows(before: DriveSource, after: DriveSource) -> bool:
+    """Return whether folders that a drive's rows name were replaced or removed."""
+    for name, hashes in before.traversals.items():
+        now = after.traversals.get(name, {})
+        if any(now.get(key) != value for key, value in hashes.items() if key.startswith(("recorded", "layer:"))):
+            return True
+    return False
+
+
+def _is_compact(state: IndexState) -> bool:
+    return len(state.snapshot.segments) == 1 and state.snapshot.segments[0].is_whole
+
+
+def _intact_state(layout: Layout) -> IndexState | None:
+    """The newest snapshot, if all files that it names have their hashes; else None."""
+    try:
+        state = read_state(Store(layout.root))
+    except (SchemaError, DatasetError):
+        # The index is derived: an unreadable one is built again.
+        return None
+    if state is None or not all(is_segment_intact(layout, segment) for segment in state.snapshot.segments):
+        return None
+    return state
 
 
 def _require_recorded_sizes(layout: Layout, inputs: IndexInputs) -> None:
@@ -140,77 +246,15 @@ def _require_recorded_sizes(layout: Layout, inputs: IndexInputs) -> None:
                 )
 
 
-def _intact_manifest(layout: Layout) -> Manifest | None:
-    """The manifest of the existing index, if all its files have their hashes; else None."""
-    try:
-        manifest = read_manifest(layout.index)
-    except SchemaError:
-        # The index is derived: an unreadable one is built again.
-        return None
-    if manifest is None:
-        return None
-    for name, entry in manifest.files.items():
-        path = layout.index / name
-        if not path.is_file() or path.stat().st_size != entry.bytes or sha256_bytes(path.read_bytes()) != entry.sha256:
-            return None
-    return manifest
+def _report(layout: Layout, written: tuple[str, ...], kept: tuple[str, ...], start: float) -> IndexReport:
+    from mirror.dataset.query.catalog import Catalog
 
-
-def _unchanged(previous: Manifest | None, inputs: IndexInputs) -> frozenset[str]:
-    if previous is None:
-        return frozenset()
-    return frozenset(
-        scene_id
-        for scene_id in inputs.scenes
-        if previous.derived_from.get(f"scene:{scene_id}") == inputs.fingerprints[f"scene:{scene_id}"]
-    )
-
-
-def _kept_row_groups(layout: Layout, kept: frozenset[str]) -> pa.Table:
-    if not kept:
-        return plain_schema(ROW_GROUPS).empty_table()
-    data = read_table(layout.index / f"{ROW_GROUPS.name}.parquet", ROW_GROUPS)
-    data = data.cast(plain_schema(ROW_GROUPS)).replace_schema_metadata(None)
-    return data.filter(pc.is_in(data.column("scene_id"), value_set=pa.array(sorted(kept))))
-
-
-def _write(layout: Layout, name: str, data: bytes, entries: dict[str, FileEntry]) -> None:
-    supersede(layout, layout.index / name)
-    write_bytes(layout.index / name, data)
-    entries[name] = FileEntry(bytes=len(data), sha256=sha256_bytes(data))
-
-
-def _publish(layout: Layout, name: str, file: Path, entries: dict[str, FileEntry]) -> None:
-    """Move a complete file to its place; the superseded one stays available to readers of its generation."""
-    with file.open("rb") as opened:
-        entries[name] = FileEntry(bytes=file.stat().st_size, sha256=hashlib.file_digest(opened, "sha256").hexdigest())
-    supersede(layout, layout.index / name)
-    try:
-        file.rename(layout.index / name)
-    except OSError as error:
-        file.unlink(missing_ok=True)
-        raise unwritable_error(layout.index / name, error) from error
-
-
-def _scene_of(name: str) -> str | None:
-    folder, _, file = name.rpartition("/")
-    return file.removesuffix(".parquet") if folder else None
-
-
-def _remove_strays(layout: Layout, manifest: Manifest) -> None:
-    """Remove tables of scenes that no longer exist, and files of an interrupted run."""
-    expected = {layout.index / name for name in (*manifest.files, MANIFEST)}
-    for path in sorted(layout.index.rglob("*")):
-        if path.is_file() and path not in expected:
-            supersede(layout, path)
-
-
-def _rows(layout: Layout) -> dict[str, int]:
-    import pyarrow.parquet as pq
-
+    store = Store(layout.root)
+    number = list_snapshots(store)[-1]
+    catalog = Catalog(store, read_snapshot(store, number))
     rows = {table.name: 0 for table in INDEX_BY_SCENE}
-    groups = read_table(layout.index / f"{ROW_GROUPS.name}.parquet", ROW_GROUPS, ["table", "rows"])
-    for group in groups.to_pylist():
+    for group in catalog.read_global("row_groups", ["table", "rows"]).to_pylist():
         rows[group["table"]] += group["rows"]
-    files = (layout.index / f"{name}.parquet" for name in ("scenes", "traversals", "passes"))
-    return {**{file.stem: pq.read_metadata(file).num_rows for file in files}, **rows}
+    counts = {name: catalog.read_global(name, ["scene_id"]).num_rows for name in ("scenes", "traversals", "passes")}
+    segments = len(catalog.snapshot.segments)
+    return IndexReport(number, segments, written, kept, {**counts, **rows}, time.perf_counter() - start)

@@ -84,7 +84,8 @@ def _scenes(inputs: IndexInputs, traversals: pa.Table) -> pa.Table:
     columns = ["scene_id", "drive_id", "images", "duration_s"]
     own: dict[str, list[Mapping[str, Any]]] = {scene_id: [] for scene_id in inputs.scenes}
     for row in traversals.select(columns).to_pylist():
-        own[row["scene_id"]].append(row)
+        # A segment may add traversals to a scene that another segment has.
+        own.setdefault(row["scene_id"], []).append(row)
     rows = []
     for scene_id, roi in inputs.scenes.items():
         ring = _ring(roi)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 from pydantic import ValidationError
@@ -15,6 +16,7 @@ from mirror.schema.documents import DriveDocument, Manifest, Rig, Roi
 from mirror.schema.files import parse_json, sha256_bytes
 from mirror.schema.hashing import hash_document
 from mirror.schema.problems import describe_problem
+from mirror.schema.snapshot import DriveSource, SegmentSources
 from mirror.schema.strict_json import JsonError, decode_json
 
 # Increase this number when the same inputs give another index, so that every index is rebuilt.
@@ -48,34 +50,87 @@ class TraversalInput:
 
 @dataclass(frozen=True)
 class IndexInputs:
-    """All inputs of the index.
+    """All inputs of the index, or those of a part of it.
 
     Attributes:
         scenes: the regions of interest by scene id, sorted.
         drives: ids of the traversals of each complete drive, by drive id, sorted.
         traversals: inputs of each traversal by id, sorted.
-        fingerprints: a hash for each scene (key ``scene:<id>``), one for each recorded road map (``map:<id>``), and one
-            of all inputs (key ``dataset``).
+        documents: documents of the drives, by drive id.
+        drive_hashes: SHA-256 of the drives' manifests, by drive id.
+        map_hashes: SHA-256 of the manifests of recorded road maps, by scene id, sorted.
     """
 
     scenes: Mapping[str, Roi]
     drives: Mapping[str, frozenset[str]]
     traversals: Mapping[str, TraversalInput]
-    fingerprints: Mapping[str, str]
+    documents: Mapping[str, DriveDocument]
+    drive_hashes: Mapping[str, str]
+    map_hashes: Mapping[str, str]
+
+    @cached_property
+    def fingerprints(self) -> Mapping[str, str]:
+        """A hash for each scene (key ``scene:<id>``) and road map (``map:<id>``), and one of all (key ``dataset``)."""
+        by_scene: dict[str, list[object]] = {scene_id: [] for scene_id in self.scenes}
+        for one in self.traversals.values():
+            by_scene.setdefault(one.scene_id, []).append([one.traversal_id, dict(sorted(one.hashes.items()))])
+        prints = {
+            f"scene:{scene_id}": hash_document([DERIVATION, self._plain_roi(scene_id), rows])
+            for scene_id, rows in by_scene.items()
+        }
+        prints.update({f"map:{scene_id}": value for scene_id, value in self.map_hashes.items()})
+        drives = sorted([drive_id, value] for drive_id, value in self.drive_hashes.items())
+        prints[DATASET_KEY] = hash_document([DERIVATION, prints, drives])
+        return prints
+
+    def _plain_roi(self, scene_id: str) -> dict[str, object] | None:
+        return self.scenes[scene_id].model_dump(mode="json") if scene_id in self.scenes else None
+
+    @cached_property
+    def sources(self) -> SegmentSources:
+        """Hashes of all inputs, one for each file."""
+        drives = {}
+        for drive_id, named in self.drives.items():
+            document = self.documents[drive_id]
+            drives[drive_id] = DriveSource(
+                manifest=self.drive_hashes[drive_id],
+                source=document.source.fingerprint,
+                configuration=document.configuration,
+                scenes=document.scenes,
+                traversals={key: dict(sorted(self.traversals[key].hashes.items())) for key in sorted(named)},
+            )
+        scenes = {scene_id: hash_document(self._plain_roi(scene_id)) for scene_id in self.scenes}
+        return SegmentSources(derivation=DERIVATION, drives=drives, scenes=scenes, maps=dict(self.map_hashes))
+
+    def part(self, drives: Collection[str], scenes: Collection[str], maps: Collection[str] = ()) -> IndexInputs:
+        """Return the inputs of some drives, of the rows of some scenes, and of the maps of some scenes."""
+        chosen = {drive_id: named for drive_id, named in self.drives.items() if drive_id in drives}
+        return IndexInputs(
+            {scene_id: roi for scene_id, roi in self.scenes.items() if scene_id in scenes},
+            chosen,
+            {key: one for key, one in self.traversals.items() if one.drive.drive_id in chosen},
+            {drive_id: self.documents[drive_id] for drive_id in chosen},
+            {drive_id: self.drive_hashes[drive_id] for drive_id in chosen},
+            {scene_id: value for scene_id, value in self.map_hashes.items() if scene_id in maps},
+        )
 
 
-def read_inputs(store: Store) -> IndexInputs:
+def read_inputs(store: Store, drives: Collection[str] | None = None) -> IndexInputs:
     """Read the small files that list all other files: manifests, drive documents, rigs and regions of interest.
+
+    Args:
+        store: the dataset's files.
+        drives: read only these drives; None: all.
 
     Raises:
         DatasetError: a traversal in a drive's manifest is missing, has another hash, or has an unknown scene.
         SchemaError: a file is broken or has another schema version.
     """
     scenes = read_rois(store)
-    manifests = _manifests(
-        store, [f"drives/{name}" for name in store.list_folders("drives") if not name.startswith(".")]
-    )
-    drives: dict[str, frozenset[str]] = {}
+    names = [name for name in store.list_folders("drives") if not name.startswith(".")] if drives is None else drives
+    manifests = _manifests(store, [f"drives/{name}" for name in sorted(names)])
+    found_drives: dict[str, frozenset[str]] = {}
+    drive_documents: dict[str, DriveDocument] = {}
     traversals: dict[str, TraversalInput] = {}
     documents = store.read_many([f"{folder}/drive.json" for folder in manifests])
     recorded = _manifests(
@@ -88,19 +143,19 @@ def read_inputs(store: Store) -> IndexInputs:
     )
     layers = _layers(store, [folder.removesuffix("/recorded") for folder in recorded])
     rigs: dict[str, tuple[Rig, str]] = {}
-    drive_hashes = []
+    drive_hashes: dict[str, str] = {}
     for folder, (manifest, manifest_hash) in manifests.items():
         path = f"{folder}/drive.json"
         if path not in documents:
             raise DatasetError("missing", file=store.full_path(path), remedy="ingest the drive again")
         drive = parse_json(documents[path], DriveDocument, store.full_path(path))
-        drive_hashes.append([drive.drive_id, manifest_hash])
+        drive_documents[drive.drive_id], drive_hashes[drive.drive_id] = drive, manifest_hash
         named = {
             key.removeprefix(_TRAVERSAL): value
             for key, value in manifest.derived_from.items()
             if key.startswith(_TRAVERSAL)
         }
-        drives[drive.drive_id] = frozenset(named)
+        found_drives[drive.drive_id] = frozenset(named)
         rig = rig_hash = None
         if named and drive.rig_id is not None:
             if drive.rig_id not in rigs:
@@ -133,8 +188,8 @@ def read_inputs(store: Store) -> IndexInputs:
             traversals[traversal_id] = TraversalInput(traversal_id, scene_id, drive, rig, tuple(own), found[0], hashes)
     ordered = dict(sorted(traversals.items()))
     maps = _manifests(store, [f"{MAPS}/{name}" for name in store.list_folders(MAPS) if not name.startswith(".")])
-    map_hashes = {f"map:{folder.removeprefix(f'{MAPS}/')}": value for folder, (_, value) in sorted(maps.items())}
-    return IndexInputs(scenes, drives, ordered, _fingerprints(scenes, ordered, drive_hashes, map_hashes))
+    map_hashes = {folder.removeprefix(f"{MAPS}/"): value for folder, (_, value) in sorted(maps.items())}
+    return IndexInputs(scenes, found_drives, ordered, drive_documents, drive_hashes, map_hashes)
 
 
 def read_rois(store: Store) -> dict[str, Roi]:
@@ -207,21 +262,3 @@ def _read_rig(store: Store, rig_id: str) -> tuple[Rig, str]:
             "missing", file=store.full_path(path), expected="a rig", remedy="restore the file"
         ) from error
     return parse_json(data, Rig, store.full_path(path)), sha256_bytes(data)
-
-
-def _fingerprints(
-    scenes: Mapping[str, Roi],
-    traversals: Mapping[str, TraversalInput],
-    drives: list[list[str]],
-    maps: Mapping[str, str],
-) -> dict[str, str]:
-    by_scene: dict[str, list[object]] = {scene_id: [] for scene_id in scenes}
-    for traversal in traversals.values():
-        by_scene[traversal.scene_id].append([traversal.traversal_id, dict(sorted(traversal.hashes.items()))])
-    prints = {
-        f"scene:{scene_id}": hash_document([DERIVATION, scenes[scene_id].model_dump(mode="json"), rows])
-        for scene_id, rows in by_scene.items()
-    }
-    prints.update(maps)
-    prints[DATASET_KEY] = hash_document([DERIVATION, prints, sorted(drives)])
-    return prints

@@ -43,6 +43,7 @@ class SceneTables:
 
 def write_scene_tables(
     layout: Layout,
+    folder: Path,
     scene_id: str,
     traversals: Iterable[tuple[TraversalInput, Mapping[str, Any]]],
     add_traversal: Callable[[Mapping[str, Any]], None],
@@ -51,6 +52,7 @@ def write_scene_tables(
 
     Args:
         layout: the dataset.
+        folder: of the index's tables.
         scene_id: the scene.
         traversals: the scene's traversals, sorted by id, each with its accepted row of the ledger.
         add_traversal: called with each traversal's row of the table TRAVERSALS.
@@ -70,7 +72,7 @@ def write_scene_tables(
                 if not data.num_rows:
                     continue
                 if table.name not in writers:
-                    path = layout.index / table.name / f"{scene_id}.parquet"
+                    path = folder / table.name / f"{scene_id}.parquet"
                     writers[table.name] = TableWriter(path, table)
                 writers[table.name].write(canonical_dictionaries(data, table))
                 row_groups.append(_row_group(table, traversal, groups[table.name], data))

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from mirror.dataset.index.geoparquet import with_geo_metadata
 from mirror.dataset.index.scene_tables import canonical_dictionaries, plain_schema
-from mirror.dataset.layout import Layout
 from mirror.schema.files import TableWriter
 from mirror.schema.index_tables import TRAVERSALS
 
@@ -28,14 +26,14 @@ class TraversalTable:
     are first written to a temporary file.
 
     Args:
-        layout: the dataset.
+        folder: of the index's tables.
 
     Attributes:
         rows: all rows, without their geometries.
     """
 
-    def __init__(self, layout: Layout) -> None:
-        self._path = layout.index / f"{TRAVERSALS.name}.parquet"
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / f"{TRAVERSALS.name}.parquet"
         self._unordered = TableWriter(self._path.with_suffix(".rows"), TRAVERSALS)
         self._group: list[Mapping[str, Any]] = []
         self._bytes = 0
@@ -82,23 +80,3 @@ class TraversalTable:
         self._unordered.write(canonical_dictionaries(rows, TRAVERSALS))
         self._without_geometry.append(rows.drop_columns(["geometry"]))
         self._group, self._bytes = [], 0
-
-
-class PreviousTraversals:
-    """A reader of the table of traversals of the existing index, for the rows of unchanged scenes.
-
-    Args:
-        layout: the dataset.
-    """
-
-    def __init__(self, layout: Layout) -> None:
-        self._path = layout.index / f"{TRAVERSALS.name}.parquet"
-
-    def rows_of(self, scene_id: str) -> Iterator[Mapping[str, Any]]:
-        """Yield the rows of a scene, in order."""
-        with pq.ParquetFile(self._path) as file:
-            for group in range(file.num_row_groups):
-                ids = file.read_row_group(group, columns=["scene_id"], use_threads=False).column(0)
-                in_scene = pc.equal(ids, scene_id)
-                if pc.any(in_scene).as_py():
-                    yield from file.read_row_group(group, use_threads=False).filter(in_scene).to_pylist()

@@ -2,25 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.arrays import Float64, Int32, Int64
-from mirror.dataset.query.arrow import floats_or_nan, integers_or_zero, is_member, to_arrow_mask, to_numpy
+from mirror.dataset.query.arrow import (
+    floats_or_nan,
+    integers_or_zero,
+    is_member,
+    to_arrow_mask,
+    to_arrow_rows,
+    to_arrow_strings,
+    to_numpy,
+)
 from mirror.dataset.query.columns import ColumnCache
 from mirror.dataset.query.files import TableFiles
 from mirror.dataset.store import Store
 from mirror.dataset.withheld import read_withheld
-from mirror.schema.documents import FileEntry
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
+from mirror.schema.snapshot import Segment, Snapshot
 
 TABLES: Final = {table.name: table for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE)}
 GLOBAL: Final = frozenset(table.name for table in INDEX_GLOBAL)
+_VISIBLE_BY: Final = {
+    "scenes": "scene_id",
+    "traversals": "drive_id",
+    "passes": "drive_id",
+    "row_groups": "traversal_id",
+}
+"""The column by which a row of a segment is read or left out."""
+_ORDER: Final = {"row_groups": ("table", "scene_id", "traversal_id")}
+"""Row groups of several files have equal numbers."""
+_COUNTED: Final = ("traversals", "drives", "images", "duration_s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,27 +72,91 @@ class RowGroups:
 
 
 class Catalog:
-    """The global tables of an index and the row groups of the other tables, shared by all views of a dataset.
+    """The global tables of a snapshot and the row groups of the other tables, shared by all views of a dataset.
 
     Args:
         store: the dataset's files.
-        files: sizes and hashes of the index's files from its manifest, by name.
+        snapshot: the snapshot.
     """
 
-    def __init__(self, store: Store, files: Mapping[str, FileEntry]) -> None:
+    def __init__(self, store: Store, snapshot: Snapshot) -> None:
         self.store = store
-        self.columns = ColumnCache(TableFiles(store, files))
+        self.snapshot = snapshot
+        self.columns = ColumnCache(TableFiles(store, snapshot))
         self._groups: dict[str, RowGroups] = {}
         self._by_traversal: dict[str, dict[int, int]] = {}
+        self._orders: dict[str, pa.Array] = {}
+
+    @cached_property
+    def is_whole(self) -> bool:
+        """Whether all rows of all segments are read."""
+        return all(segment.is_whole for segment in self.snapshot.segments)
+
+    @cached_property
+    def is_compact(self) -> bool:
+        """Whether there is one segment, all rows of which are read."""
+        return self.is_whole and len(self.snapshot.segments) == 1
 
     def read_global(self, name: str, columns: Sequence[str]) -> pa.Table:
         """Read columns of a global table with all rows; each column is one chunk."""
-        path, schema = f"index/{name}.parquet", pa.schema([TABLES[name].schema.field(key) for key in columns])
+        parts = [self._read_segment(segment, name, columns) for segment in self.snapshot.segments]
+        if not parts:
+            return _schema(name, columns).empty_table()
+        if self.is_compact:
+            return parts[0]
+        table = pa.concat_tables(parts).unify_dictionaries().combine_chunks().take(self._order(name)).combine_chunks()
+        for column in (one for one in columns if name == "scenes" and one in _COUNTED):
+            field = TABLES[name].schema.field(column)
+            values = [self._scene_counts[scene_id][column] for scene_id in self._scene_ids]
+            table = table.set_column(list(columns).index(column), field, [pa.array(values, field.type)])
+        return table
+
+    def _read_segment(self, segment: Segment, name: str, columns: Sequence[str]) -> pa.Table:
+        """The rows of one segment that are read."""
+        path, schema = f"index/{segment.name}/{name}.parquet", _schema(name, columns)
         parts = [
             pa.Table.from_arrays(self.columns.read(path, group, columns), schema=schema)
             for group in range(self.columns.row_groups(path))
         ]
-        return parts[0] if len(parts) == 1 else pa.concat_tables(parts).unify_dictionaries().combine_chunks()
+        table = parts[0] if len(parts) == 1 else pa.concat_tables(parts).unify_dictionaries().combine_chunks()
+        if segment.is_whole:
+            return table
+        key = _VISIBLE_BY[name]
+        if key == "traversal_id":
+            ids = self._read_segment(segment, "traversals", [key]).column(0)
+            visible = frozenset(ids.to_pylist())
+        else:
+            visible = frozenset(segment.scenes if key == "scene_id" else segment.drives)
+        keys = [self.columns.read(path, group, [key])[0] for group in range(self.columns.row_groups(path))]
+        return table.filter(to_arrow_mask(np.concatenate([is_member(one, visible) for one in keys])))
+
+    def _order(self, name: str) -> pa.Array:
+        """The rows of all segments in the table's order."""
+        if name not in self._orders:
+            keys = list(_ORDER.get(name, TABLES[name].sorted_by))
+            parts = [self._read_segment(segment, name, keys) for segment in self.snapshot.segments]
+            plain = pa.schema([pa.field(key, _plain_type(TABLES[name].schema.field(key).type)) for key in keys])
+            table = pa.concat_tables([part.cast(plain) for part in parts])
+            self._orders[name] = pc.sort_indices(table, sort_keys=[(key, "ascending") for key in keys])
+        return self._orders[name]
+
+    @cached_property
+    def _scene_ids(self) -> list[str]:
+        return list(self.read_global("scenes", ["scene_id"]).column(0).to_pylist())
+
+    @cached_property
+    def _scene_counts(self) -> dict[str, dict[str, Any]]:
+        """The counts of each scene, over the traversals of all segments."""
+        counts: dict[str, dict[str, Any]] = {
+            scene_id: {"traversals": 0, "images": 0, "duration_s": 0.0, "drives": set()} for scene_id in self._scene_ids
+        }
+        for row in self.read_global("traversals", ["scene_id", "drive_id", "images", "duration_s"]).to_pylist():
+            own = counts[row["scene_id"]]
+            own["traversals"] += 1
+            own["images"] += row["images"]
+            own["duration_s"] += row["duration_s"]
+            own["drives"].add(row["drive_id"])
+        return {scene_id: {**own, "drives": len(own["drives"])} for scene_id, own in counts.items()}
 
     @cached_property
     def traversal_ids(self) -> pa.Array:
@@ -106,10 +189,14 @@ class Catalog:
 
     def _load_groups(self, name: str) -> RowGroups:
         table = self.read_global("row_groups", TABLES["row_groups"].schema.names)
+        table = table.append_column("segment", self._segments_of_row_groups())
         table = table.filter(to_arrow_mask(is_member(table.column("table"), frozenset([name]))))
         columns = {column: table.column(column) for column in table.column_names}
         return RowGroups(
-            path=[f"index/{name}/{scene_id}.parquet" for scene_id in columns["scene_id"].to_pylist()],
+            path=[
+                f"index/{segment}/{name}/{scene_id}.parquet"
+                for segment, scene_id in zip(columns["segment"].to_pylist(), columns["scene_id"].to_pylist())
+            ],
             number=to_numpy(columns["row_group"]),
             traversal=to_numpy(pc.index_in(columns["traversal_id"], value_set=self.traversal_ids)),
             rows=to_numpy(columns["rows"]),
@@ -120,3 +207,19 @@ class Catalog:
             south=floats_or_nan(columns["latitude_min_deg"]),
             north=floats_or_nan(columns["latitude_max_deg"]),
         )
+
+    def _segments_of_row_groups(self) -> pa.Array:
+        """The names of the segments with the rows of the table of row groups, in the table's order."""
+        names = [segment.name for segment in self.snapshot.segments]
+        rows = [self._read_segment(one, "row_groups", ["row_group"]).num_rows for one in self.snapshot.segments]
+        owners = to_arrow_rows(np.repeat(np.arange(len(names)), rows))
+        owners = owners if self.is_compact or not names else owners.take(self._order("row_groups"))
+        return to_arrow_strings(names).take(owners)
+
+
+def _schema(name: str, columns: Sequence[str]) -> pa.Schema:
+    return pa.schema([TABLES[name].schema.field(key) for key in columns])
+
+
+def _plain_type(kind: pa.DataType) -> pa.DataType:
+    return kind.value_type if pa.types.is_dictionary(kind) else kind

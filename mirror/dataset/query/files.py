@@ -14,9 +14,12 @@ from typing import Final, TypeAlias
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from mirror.dataset.layout import MANIFEST
 from mirror.dataset.store import Store, unreadable_error
 from mirror.errors import DatasetError
-from mirror.schema.documents import FileEntry
+from mirror.schema.documents import FileEntry, Manifest
+from mirror.schema.files import parse_json, sha256_bytes
+from mirror.schema.snapshot import Snapshot
 from mirror.schema.version import require_readable
 
 MAX_OPEN_FILES: Final = 64
@@ -33,12 +36,13 @@ class TableFiles:
 
     Args:
         store: the dataset's files.
-        entries: sizes and hashes of the index's files from its manifest, by name.
+        snapshot: of the index; the manifests of its segments are read when a file of theirs is opened.
     """
 
-    def __init__(self, store: Store, entries: Mapping[str, FileEntry]) -> None:
+    def __init__(self, store: Store, snapshot: Snapshot) -> None:
         self.store = store
-        self._entries = entries
+        self._segments = {segment.name: segment for segment in snapshot.segments}
+        self._entries: dict[str, Mapping[str, FileEntry]] = {}
         self._open: OrderedDict[str, pq.ParquetFile] = OrderedDict()
         self._hashed: dict[str, _Identity] = {}
 
@@ -95,7 +99,8 @@ class TableFiles:
         return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
     def _is_in_manifest(self, path: str, file: pa.NativeFile, identity: _Identity | None) -> bool:
-        entry = self._entries.get(path.removeprefix(_INDEX))
+        segment, _, name = path.removeprefix(_INDEX).partition("/")
+        entry = self._entries_of(segment).get(name)
         if entry is None or file.size() != entry.bytes:
             return False
         if not isinstance(file, pa.OSFile):
@@ -107,6 +112,16 @@ class TableFiles:
             if identity is not None:
                 self._hashed[path] = identity
         return True
+
+    def _entries_of(self, segment: str) -> Mapping[str, FileEntry]:
+        """Sizes and hashes of the files of a segment, by name."""
+        if segment not in self._entries:
+            path = f"{_INDEX}{segment}/{MANIFEST}"
+            data = self.store.read(path)
+            if sha256_bytes(data) != self._segments[segment].manifest:
+                raise self._changed_error(path)
+            self._entries[segment] = parse_json(data, Manifest, self.store.full_path(path)).files
+        return self._entries[segment]
 
     def _changed_error(self, path: str) -> DatasetError:
         root = self.store.root

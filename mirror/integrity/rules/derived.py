@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Final
 
 import pyarrow.compute as pc
 
-from mirror.dataset.index.inputs import DATASET_KEY
+from mirror.dataset.index.build import describe_changes, find_changes
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Finding, Severity
 from mirror.integrity.problems import report_unreadable
 from mirror.integrity.rule import dataset_rule, scene_rule
 from mirror.integrity.scene_view import SceneView
+from mirror.schema.snapshot import SNAPSHOTS, snapshot_path
+
+_LISTED: Final = 10
 
 
 @dataset_rule(
     "IDX001",
     Severity.ERROR,
-    title="There is no index, or its manifest is broken: the dataset cannot be opened.",
+    title="There is no index, or its newest snapshot is broken: the dataset cannot be opened.",
     remedy="run `mirror index`",
 )
 def _index_there(view: DatasetView) -> Iterator[Finding]:
-    if view.index_manifest is None:
-        broken = list(report_unreadable(view.problems, lambda file: file == "index/manifest.json"))
+    if view.index_state is None:
+        broken = list(report_unreadable(view.problems, lambda file: file.startswith(SNAPSHOTS)))
         yield from broken or [Finding("index", None, "there is no index")]
 
 
@@ -33,14 +37,13 @@ def _index_there(view: DatasetView) -> Iterator[Finding]:
     remedy="run `mirror index`",
 )
 def _index_stale(view: DatasetView) -> Iterator[Finding]:
-    inputs = view.index_inputs
-    if view.index_manifest is None or inputs is None:
+    inputs, state = view.index_inputs, view.index_state
+    if state is None or inputs is None:
         return
-    found = view.index_manifest.derived_from
-    changed = [key for key in {**inputs.fingerprints, **found} if inputs.fingerprints.get(key) != found.get(key)]
-    scenes = sorted(key for key in changed if key != DATASET_KEY)
+    changed = describe_changes(find_changes(state.sources, inputs))
     if changed:
-        yield Finding("index/manifest.json", "derived_from", f"stale: {', '.join(scenes) or 'drives'} changed since")
+        listed = ", ".join(changed[:_LISTED]) + (f" and {len(changed) - _LISTED} more" * (len(changed) > _LISTED))
+        yield Finding(snapshot_path(state.number), None, f"stale: {listed} changed since")
 
 
 @scene_rule(
@@ -62,7 +65,7 @@ def _index_rows(view: SceneView) -> Iterator[Finding]:
     for rows in every:
         if indexed[rows.table.name] != len(rows):
             yield Finding(
-                f"index/{rows.table.name}/{view.scene.scene_id}.parquet",
-                None,
+                "index",
+                f"{rows.table.name} of scene {view.scene.scene_id}",
                 f"{indexed[rows.table.name]} rows, but the traversals' tables have {len(rows)}",
             )

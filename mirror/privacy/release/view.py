@@ -7,7 +7,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from mirror.dataset.index.snapshots import list_snapshots, read_snapshot
 from mirror.dataset.layout import Layout, read_manifest
+from mirror.dataset.store import Store
 from mirror.errors import DatasetError
 from mirror.privacy.log import ImageRecord, read_log
 from mirror.privacy.release.document import DATASHEET, DOCUMENT, LICENCE, LOG, Release
@@ -15,6 +17,7 @@ from mirror.privacy.release.tree import LAYER_TABLES, read_drives
 from mirror.schema.documents import DriveDocument, Manifest, Rig
 from mirror.schema.files import read_json, read_table
 from mirror.schema.links import refuse_links_out
+from mirror.schema.snapshot import SOURCES, snapshot_path
 from mirror.schema.tables import IMAGES, MASKS, Table
 
 ImageName = tuple[str, str, int]
@@ -98,7 +101,12 @@ class ReleaseView:
                 table = LAYER_TABLES.get(layer[0])
                 if table is not None and "uri" in table.schema.names:
                     names.update(self._uris(folder, table))
-        for folder in [*folders, self.layout.index]:
+        for number in list_snapshots(Store(self.root)):
+            names.add(snapshot_path(number))
+            for segment in read_snapshot(Store(self.root), number).segments:
+                names.add(f"index/{segment.name}/{SOURCES}")
+                folders.append(self.layout.segment(segment.name))
+        for folder in folders:
             manifest = read_manifest(folder)
             place = folder.relative_to(self.root).as_posix()
             if manifest is not None:

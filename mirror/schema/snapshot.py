@@ -62,7 +62,7 @@ class Snapshot(Document):
 
 
 class DriveSource(Document):
-    """What a drive's rows were derived from.
+    """Hashes of all that a drive's rows were derived from.
 
     Attributes:
         manifest: SHA-256 of the drive's manifest.

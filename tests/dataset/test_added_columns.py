@@ -18,7 +18,7 @@ from mirror.recordings.discovery import find_recordings
 from mirror.schema.documents import Roi
 from mirror.schema.files import conform, read_table
 from mirror.schema.tables import ADDED, BOXES
-from tests.builders.index import segment_folder
+from tests.builders.index import segment_folder, tamper
 from tests.recordings.formats.nuscenes import write_nuscenes
 from tests.recordings.formats.street import straight_drive
 
@@ -68,6 +68,7 @@ def test_an_index_without_the_column_is_read(tmp_path: Path, scenes: list[str]) 
     root = make_dataset(tmp_path)
     for scene in scenes:
         drop_column(segment_folder(root) / "boxes" / f"{scene}.parquet")
+    tamper(root, {})
     dataset = mirror.open(root)
     found = attributes_of(dataset)
     assert found["east"] == {()} and (found["west"] == {()}) == ("west" in scenes)

@@ -536,7 +536,7 @@ def test_splits_filter_by_role(tmp_path: Path) -> None:
 
 
 def stale(root: Path) -> str:
-    """What the check says of an index that is not up to date."""
+    """Return what the check says of an index that is not up to date."""
     return " ".join(finding.message for _, finding in check(root, only=["IDX002"]).findings)
 
 

@@ -23,8 +23,8 @@ from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.commit import ConflictError
 from mirror.schema.documents import DatasetDocument
-from mirror.schema.files import read_json
-from mirror.schema.index_tables import INDEX_BY_SCENE
+from mirror.schema.files import read_json, read_table
+from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_PASSES, ROW_GROUPS, TRAVERSALS
 from mirror.schema.snapshot import DriveSource, SegmentSources
 
 Progress = Callable[[int, int], None]
@@ -247,14 +247,19 @@ def _require_recorded_sizes(layout: Layout, inputs: IndexInputs) -> None:
 
 
 def _report(layout: Layout, written: tuple[str, ...], kept: tuple[str, ...], start: float) -> IndexReport:
-    from mirror.dataset.query.catalog import Catalog
-
     store = Store(layout.root)
     number = list_snapshots(store)[-1]
-    catalog = Catalog(store, read_snapshot(store, number))
-    rows = {table.name: 0 for table in INDEX_BY_SCENE}
-    for group in catalog.read_global("row_groups", ["table", "rows"]).to_pylist():
-        rows[group["table"]] += group["rows"]
-    counts = {name: catalog.read_global(name, ["scene_id"]).num_rows for name in ("scenes", "traversals", "passes")}
-    segments = len(catalog.snapshot.segments)
-    return IndexReport(number, segments, written, kept, {**counts, **rows}, time.perf_counter() - start)
+    snapshot = read_snapshot(store, number)
+    rows = {"scenes": len(snapshot.scenes), TRAVERSALS.name: 0, INDEX_PASSES.name: 0}
+    rows.update({table.name: 0 for table in INDEX_BY_SCENE})
+    for segment in snapshot.segments:
+        folder, drives = layout.segment(segment.name), frozenset(segment.drives)
+        for table in (TRAVERSALS, INDEX_PASSES):
+            ids = read_table(folder / f"{table.name}.parquet", table, ["drive_id"]).column(0).to_pylist()
+            rows[table.name] += sum(drive_id in drives for drive_id in ids)
+        groups = read_table(folder / f"{ROW_GROUPS.name}.parquet", ROW_GROUPS, ["table", "traversal_id", "rows"])
+        for group in groups.to_pylist():
+            # `scene.drive.entry_ms`, and ids have no full stops.
+            if group["traversal_id"].split(".")[1] in drives:
+                rows[group["table"]] += group["rows"]
+    return IndexReport(number, len(snapshot.segments), written, kept, rows, time.perf_counter() - start)

@@ -89,12 +89,12 @@ class Catalog:
 
     @cached_property
     def is_whole(self) -> bool:
-        """Whether all rows of all segments are read."""
+        """True if all rows of all segments are read."""
         return all(segment.is_whole for segment in self.snapshot.segments)
 
     @cached_property
     def is_compact(self) -> bool:
-        """Whether there is one segment, all rows of which are read."""
+        """True if there is one segment, all rows of which are read."""
         return self.is_whole and len(self.snapshot.segments) == 1
 
     def read_global(self, name: str, columns: Sequence[str]) -> pa.Table:

@@ -167,13 +167,17 @@ def describe_names() -> str:
 
 def main() -> int:
     """Write the sources and build the site; returns the exit code of the build."""
+    builder = Path(sys.executable).with_name("zensical")
+    if "--sources-only" not in sys.argv[1:] and not builder.is_file():
+        print(f"no {builder}: install the extra, pip install -c constraints.txt -e '.[docs]'", file=sys.stderr)
+        return 2
     # The help of verbs is formatted for this width.
     os.environ.update(COLUMNS="100", NO_COLOR="1", TERM="dumb")
     pages = write_sources(SOURCES)
     if "--sources-only" in sys.argv[1:]:
         print(f"{len(pages)} pages in {SOURCES}")
         return 0
-    built = subprocess.run([Path(sys.executable).with_name("zensical"), "build", "--strict"], cwd=ROOT, check=False)
+    built = subprocess.run([builder, "build", "--strict"], cwd=ROOT, check=False)
     if built.returncode == 0:
         print(f"site: {ROOT / 'build' / 'site' / 'index.html'}")
     return built.returncode

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +14,11 @@ from mirror.dataset.loader import Loader
 from mirror.dataset.traversal import CameraCalibration, Traversal
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
+from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 from mirror.geometry.rolling_shutter import RollingShutter, project_rolling
+
+_BEYOND_NS: Final = 200_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,11 +208,17 @@ class Image:
     def world_SE3_camera_at(self, offsets_ns: npt.ArrayLike) -> Poses:  # noqa: N802
         """Return the camera's poses at offsets (N,) from mid-exposure, such as the times of its rows, ns.
 
+        Up to 0.2 s before the first and after the last pose the vehicle keeps its velocity: the first rows of an image
+        may be exposed before the first pose.
+
         Raises:
             DatasetError: the chosen poses do not cover a time, or no calibration is valid.
         """
         stamps = self.timestamp_ns + np.round(np.atleast_1d(offsets_ns)).astype(np.int64)
-        return self._traversal.world_SE3_ego(stamps) @ self.calibration.ego_SE3_camera
+        track, poses = self._traversal.track
+        reaches = len(track) > 1 and stamps.min() >= track[0] - _BEYOND_NS and stamps.max() <= track[-1] + _BEYOND_NS
+        egos = interpolate(track, poses, stamps, extrapolate=True) if reaches else self._traversal.world_SE3_ego(stamps)
+        return egos @ self.calibration.ego_SE3_camera
 
     def project_moving(self, world_points_m: npt.ArrayLike, world_velocity_mps: npt.ArrayLike) -> Float64:
         """Project moving points, each at the time of the row or column that sees it.

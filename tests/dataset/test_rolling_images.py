@@ -9,6 +9,7 @@ import mirror
 from mirror.annotation.masks import draw_hulls, draw_rolling_hulls
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index.build import build_index
+from mirror.errors import DatasetError
 from mirror.geometry import Poses
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.trajectories import plan_views_along, recorded_trajectory
@@ -37,6 +38,16 @@ def test_rows_have_poses_of_their_own(dataset: Dataset) -> None:
     assert moved == pytest.approx(SPEED_MPS * READOUT_NS * 1e-9, rel=1e-6)
     middle = 0.5 * (ends.translation[0] + ends.translation[1])
     np.testing.assert_allclose(middle, image.world_SE3_camera.translation[0], atol=1e-6)
+
+
+def test_rows_just_beyond_the_poses_keep_the_velocity_and_others_are_refused(dataset: Dataset) -> None:
+    frame = dataset.frames()[0]
+    image, (stamps, _) = frame.images["front_wide"], frame.track
+    before_ns = float(stamps[0] - image.timestamp_ns)
+    steps = image.world_SE3_camera_at([before_ns - 30e6, before_ns, before_ns + 30e6]).translation
+    np.testing.assert_allclose(steps[1] - steps[0], steps[2] - steps[1], atol=1e-6)
+    with pytest.raises(DatasetError, match="outside the recorded poses"):
+        image.world_SE3_camera_at([before_ns - 300e6])
 
 
 def test_moving_boxes_are_masked_where_the_rows_see_them(dataset: Dataset) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.suite_kills import drive_with_kills, read_files, spread_points
 from mirror.cli.main import main
 from mirror.errors import ExitCode
 from mirror.protocols.document import load_protocol, read_definition
@@ -186,3 +187,15 @@ def test_options_that_a_suite_states_are_refused(
     policy = [] if "--policy" in options else ["--policy", "idm"]
     assert main([*words, *policy, *options]) == ExitCode.COULD_NOT_RUN
     assert message in capsys.readouterr().err
+
+
+def test_a_command_that_is_killed_and_repeated_has_the_bytes_of_an_uninterrupted_one(
+    folder: Path, tmp_path: Path
+) -> None:
+    """One point of a suite; `python -m benchmarks suite_kills` has forty."""
+    policy = f"{folder / 'policies.py'}:Straight"
+    words = ["--suite", str(folder / "short.toml"), "--policy", policy, "--workers", "1"]
+    assert main(["simulate", *words, "--out", str(tmp_path / "whole")]) == ExitCode.DONE
+    expected = read_files(tmp_path / "whole")
+    assert drive_with_kills(words, tmp_path / "killed", spread_points(len(expected), 1)) == 1
+    assert read_files(tmp_path / "killed") == expected

@@ -74,7 +74,7 @@ def list_rows(results: dict[str, Result]) -> list[str]:
 
 def _is_ranked(result: Result) -> bool:
     ranking = result.protocol.ranking
-    return ranking is None or ranking.gate is None or _value(result, ranking.gate.metric) >= ranking.gate.at_least
+    return ranking is None or ranking.passes_gate(lambda column: _figure(result, column[1]).value)
 
 
 def _figure(result: Result, metric: str) -> GroupFigure:

@@ -8,12 +8,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybridworldsim.training.data_loader import TrainingImageCache, resample_depth
+from hybridworldsim.training.data_loader import TrainingImageCache, resample_depth, stream_images
 from hybridworldsim.training.views import training_views
 from mirror.dataset import Dataset
 from mirror.geometry.cameras import Camera
 from mirror.protocols.document import load_protocol
 from tests.baselines.conftest import dataset  # noqa: F401 - a fixture
+from tests.training.shadow import DEVICE, WAITS, OnShadows
 from tests.training.street import view
 
 
@@ -34,6 +35,35 @@ def test_image_cache_stays_within_its_byte_limit(dataset: Dataset) -> None:  # n
         assert images.opened == opened
         # The last image is still cached.
         assert torch.equal(images(views[-1]).rgb, shown.rgb) and images.opened == opened
+
+
+def test_images_wait_on_the_device_within_a_bound(dataset: Dataset) -> None:  # noqa: F811
+    """A stand-in for a GPU: the same numbers, copied without waiting, and nothing is read back."""
+    training = training_views(dataset, load_protocol("static-reconstruction"), "novel", "street")
+    views = training.views[:12]
+    here = TrainingImageCache(dataset, training.plan, np.zeros(3))
+    image_bytes = here(views[0]).bytes
+    there = TrainingImageCache(dataset, training.plan, np.zeros(3), cache_bytes=5 * image_bytes, device=DEVICE)
+    with OnShadows():
+        WAITS.clear()
+        shown = [there(one) for one in views]
+        assert not WAITS and all(one.teaches for one in shown) and not WAITS
+        assert {one.rgb.device.type for one in shown} == {DEVICE} and there.held_bytes <= 5 * image_bytes
+        for one, camera in zip(shown, views, strict=True):
+            assert torch.equal(one.rgb.cpu(), here(camera).rgb) and torch.equal(one.scored.cpu(), here(camera).scored)
+
+
+def test_threads_read_ahead_in_the_order_of_one(dataset: Dataset) -> None:  # noqa: F811
+    training = training_views(dataset, load_protocol("static-reconstruction"), "novel", "street")
+
+    def names(workers: int, count: int = 30) -> list[tuple[str, float]]:
+        images = TrainingImageCache(dataset, training.plan, np.zeros(3))
+        stream = stream_images(images, training.views[:20], 3, 0, workers)
+        found = [(one.name, float(one.rgb.sum())) for one, _ in zip(stream, range(count))]
+        stream.close()
+        return found
+
+    assert names(4) == names(1)
 
 
 def lens(width: int, height: int, focal: float, cx: float | None = None) -> Camera:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from hybridworldsim.training.data_loader import CACHE_BYTES
+from hybridworldsim.training.data_loader import CACHE_BYTES, GPU_CACHE_BYTES
 from mirror.devices import CPU
 from mirror.methods.plugin import ReconstructionTask
 
@@ -37,16 +37,16 @@ class TableSizes:
 
 
 def estimate_bytes(sizes: TableSizes, width_px: int, height_px: int) -> int:
-    """Estimate the peak memory, in bytes, of training a block, with its cached images."""
+    """Estimate the peak memory, in bytes, of training a block, without its cached images."""
     tables = 4 * _COPIES * sizes.numbers
-    return tables + _PER_GAUSSIAN * sizes.gaussians + _PER_PIXEL * width_px * height_px + CACHE_BYTES + _LIBRARIES
+    return tables + _PER_GAUSSIAN * sizes.gaussians + _PER_PIXEL * width_px * height_px + _LIBRARIES
 
 
 def estimate_task_bytes(sizes: TableSizes, task: ReconstructionTask) -> int:
     """Estimate the peak memory, in bytes, of training a block of a task, if images are square at most."""
     width_px = task.protocol.pixels.max_width_px or _STEP_WIDTH_PX
-    decoded = 0 if task.device == CPU else _PER_DECODED * sizes.gaussians
-    return estimate_bytes(sizes, width_px, width_px) + decoded
+    own = estimate_bytes(sizes, width_px, width_px)
+    return own + (CACHE_BYTES if task.device == CPU else GPU_CACHE_BYTES + _PER_DECODED * sizes.gaussians)
 
 
 def describe_costs(sizes: TableSizes, task: ReconstructionTask) -> str:

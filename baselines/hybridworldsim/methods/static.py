@@ -24,7 +24,7 @@ from hybridworldsim.trainable.method import MovableMethod, RenderableModel, Trai
 from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.appearance import trained_cameras
 from hybridworldsim.training.block_training import Options, train_block
-from hybridworldsim.training.data_loader import NoSupervisionError, TrainingImageCache
+from hybridworldsim.training.data_loader import GPU_WORKERS, NoSupervisionError, TrainingImageCache
 from hybridworldsim.training.documents import Run, TrainingOutcome
 from hybridworldsim.training.parameters import write_parameters
 from hybridworldsim.training.run.budget import Budget
@@ -191,7 +191,9 @@ class StaticMethod:
             try:
                 return train_block(
                     trainer,
-                    TrainingImageCache(training.layers.dataset, plan, origin, depth_traversals, sky=self.sky),
+                    TrainingImageCache(
+                        training.layers.dataset, plan, origin, depth_traversals, sky=self.sky, device=task.device
+                    ),
                     training.views,
                     Budget(task.steps, task.core_minutes),
                     folder,
@@ -200,6 +202,7 @@ class StaticMethod:
                     options=Options(
                         previews=training.previews(run, reporter),
                         title=f"{self.name}, {task.scene}, {training.block.name}",
+                        workers=1 if task.device == CPU else GPU_WORKERS,
                     ),
                     reporter=reporter,
                 )

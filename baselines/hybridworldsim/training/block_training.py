@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from torch import Tensor
-
 from hybridworldsim.trainable.method import TrainableMethod
 from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.training.chart import write_chart
@@ -22,7 +20,7 @@ from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.position import Position, Step
 from hybridworldsim.training.run.training import Ending, Training
-from mirror.errors import DatasetError
+from mirror.devices import CPU
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.views.view import RenderView
 
@@ -39,11 +37,13 @@ class Options:
         checkpoint_s: a checkpoint is written at the first step after this many seconds.
         previews: images that are rendered during training.
         title: title of the chart.
+        workers: number of threads that decode images ahead.
     """
 
     checkpoint_s: float = 30.0
     previews: Sequence[Preview] = ()
     title: str = "training"
+    workers: int = 1
 
 
 def train_block(
@@ -83,7 +83,7 @@ def train_block(
         if now.reports // _PREVIEW_EVERY > before.reports // _PREVIEW_EVERY:
             write_previews(folder.path / PREVIEWS, options.previews, trainer, now.steps)
 
-    with _ImageSteps(trainer, images, views, seed) as step:
+    with _ImageSteps(trainer, images, views, seed, options.workers) as step:
         training = Training(
             phase="training",
             budget=budget,
@@ -102,19 +102,26 @@ def train_block(
 
 
 class _ImageSteps:
-    """Makes a step on each image that has a pixel to learn from; a context in which a thread reads ahead.
+    """Makes a step on each image that has a pixel to learn from; a context in which threads read ahead.
 
     Args:
         trainer: the model.
         images: opens the images.
         views: training views.
         seed: seed of the order of the images.
+        workers: number of threads that read ahead.
     """
 
     def __init__(
-        self, trainer: TrainableMethod, images: TrainingImageCache, views: Sequence[RenderView], seed: int
+        self,
+        trainer: TrainableMethod,
+        images: TrainingImageCache,
+        views: Sequence[RenderView],
+        seed: int,
+        workers: int,
     ) -> None:
         self._trainer, self._images, self._views, self._seed = trainer, images, views, seed
+        self._workers = workers
         self._stream: Generator[TrainingImage, None, None] | None = None
 
     def __enter__(self) -> _ImageSteps:
@@ -132,11 +139,13 @@ class _ImageSteps:
             DatasetError: an image is missing or broken, or not finite.
         """
         if self._stream is None:
-            self._stream = stream_images(self._images, self._views, self._seed, position.shown)
+            self._stream = stream_images(self._images, self._views, self._seed, position.shown, self._workers)
         image, shown = next(self._stream), 1
-        while not image.scored.any():
+        while not image.teaches:
             image, shown = next(self._stream), shown + 1
-        _require_finite_image(image)
+        if image.rgb.device.type == CPU:
+            # Images on a GPU were examined before they went there.
+            image.require_finite()
         report = self._trainer.step(image, progress)
         return Step(
             report.losses, psnr_db(report.losses["rgb"]), shown, {"gaussians": report.gaussians},
@@ -160,19 +169,3 @@ def _outcome(ending: Ending) -> TrainingOutcome:
         wall_s=position.wall_s, psnr_db=row["psnr_db"], gaussians=int(row["gaussians"]),
         model_bytes=ending.model_bytes,
     )  # fmt: skip
-
-
-def _require_finite_image(image: TrainingImage) -> None:
-    # A sum is finite only if all terms are; it is the cheapest test.
-    tensors: dict[str, Tensor | None] = {
-        "colours": image.rgb,
-        "depths": image.depth_m,
-        "pose": image.viewpoint.viewmat,
-        "intrinsics": image.viewpoint.K,
-    }
-    for what, tensor in tensors.items():
-        if tensor is not None and not bool(tensor.sum().isfinite()):
-            raise DatasetError(
-                f"{what} that are not finite", place=image.name or str(image.viewpoint.source),
-                expected="finite numbers", remedy="leave the image out, or correct its pose and depth",
-            )  # fmt: skip

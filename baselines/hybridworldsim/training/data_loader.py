@@ -1,7 +1,8 @@
-"""Loads training images from the dataset: a thread decodes ahead, and memory is bounded."""
+"""Loads training images from the dataset: threads decode ahead, and memory, also that of a GPU, is bounded."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Generator, Iterator, Sequence, Set
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -16,6 +17,7 @@ from hybridworldsim.trainable.viewpoint import to_viewpoint
 from mirror.arrays import Float32, Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import DepthImage, Image, Mask
+from mirror.devices import CPU
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
 from mirror.protocols.truth.raster import cached_raster
@@ -24,7 +26,13 @@ from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 
 CACHE_BYTES: Final = 512 << 20
-_PREFETCHED: Final = 3
+"""Bytes of images that are kept in memory on a CPU."""
+GPU_CACHE_BYTES: Final = 4 << 30
+"""The same on a GPU, in its memory: a thousand images of 960 x 540 with depth."""
+GPU_WORKERS: Final = 4
+"""Threads that decode images for a GPU, which trains on one in the time in which a core decodes one or less."""
+_PREFETCHED: Final = 2
+"""Images that wait for each thread, besides the one that it decodes."""
 
 
 class TrainingImageCache:
@@ -36,7 +44,9 @@ class TrainingImageCache:
         origin_m: (3,) origin of the block, in the world.
         depth_of: traversals with the chosen layer of depth maps; no depth is read for others.
         sky: whether to read masks of the sky, for a method that learns from them.
-        cache_bytes: limit of the cache; memory does not grow with the number of images beyond it.
+        cache_bytes: limit of the cache; memory does not grow with the number of images beyond it. None: `CACHE_BYTES`,
+            or `GPU_CACHE_BYTES` on a GPU.
+        device: where the images wait; on a GPU they are copied there from pinned memory, and stay.
     """
 
     def __init__(
@@ -47,12 +57,14 @@ class TrainingImageCache:
         depth_of: Set[str] = frozenset(),
         *,
         sky: bool = False,
-        cache_bytes: int = CACHE_BYTES,
+        cache_bytes: int | None = None,
+        device: str = CPU,
     ) -> None:
-        self._plan, self._origin = plan, origin_m
+        self._plan, self._origin, self._device = plan, origin_m, torch.device(device)
         self._reads_sky, self._depth_of = sky, depth_of
-        self._source = GroundTruth(dataset, plan.protocol, plan.layers)
-        self._cache: KeptItems[str, TrainingImage] = KeptItems(cache_bytes)
+        self._dataset, self._local = dataset, threading.local()
+        bound = GPU_CACHE_BYTES if self._device.type != CPU else CACHE_BYTES
+        self._cache: KeptItems[str, TrainingImage] = KeptItems(bound if cache_bytes is None else cache_bytes)
 
     @property
     def held_bytes(self) -> int:
@@ -71,14 +83,30 @@ class TrainingImageCache:
             DatasetError: a file is missing or broken, or the image has several masks of the sky.
             UsageError: the image has several layers of depth and none was chosen.
         """
-        recorded = self._cache.get(view.path, lambda: self._open(view), lambda image: image.bytes)
+        recorded = self._cache.get(view.path, lambda: self._place(self._open(view)), lambda image: image.bytes)
         # The cache holds uint8: float32 colours would take four times the bytes.
         return replace(recorded, rgb=recorded.rgb.to(torch.float32).div_(255.0))
 
+    def _place(self, image: TrainingImage) -> TrainingImage:
+        """Copy an image to the device; what would have to be read back from a GPU is examined before."""
+        if self._device.type == CPU:
+            return image
+        image.require_finite()
+        return (image.pinned() if self._device.type == "cuda" else image).to(self._device)
+
+    @property
+    def _source(self) -> GroundTruth:
+        """The truth that this thread reads: it keeps files of a traversal open."""
+        if not hasattr(self._local, "source"):
+            self._local.source = GroundTruth(self._dataset, self._plan.protocol, self._plan.layers)
+        source: GroundTruth = self._local.source
+        return source
+
     def _open(self, view: RenderView) -> TrainingImage:
         """Open the image of a view, with recorded colours (uint8)."""
-        rgb = self._source.image(view)
-        _, image = self._source.recorded_frame_and_image(view)
+        source = self._source
+        rgb = source.image(view)
+        _, image = source.recorded_frame_and_image(view)
         depth = image.depth() if view.traversal_id in self._depth_of else None
         mask, sky = _select_sky_mask(image, depth) if self._reads_sky else None, None
         if mask is not None:
@@ -88,7 +116,7 @@ class TrainingImageCache:
         return TrainingImage(
             to_viewpoint(view, self._origin),
             torch.from_numpy(rgb),
-            torch.from_numpy(self._source.scored_mask(view)),
+            torch.from_numpy(source.scored_mask(view)),
             sky,
             depth_m,
             view.path,
@@ -150,9 +178,16 @@ class NoSupervisionError(DatasetError):
 
 
 def stream_images(
-    images: TrainingImageCache, views: Sequence[RenderView], seed: int, first: int
+    images: TrainingImageCache, views: Sequence[RenderView], seed: int, first: int, workers: int = 1
 ) -> Generator[TrainingImage, None, None]:
-    """Yield training images without end, in the order of `shuffled_indices`, while a thread opens the next ones.
+    """Yield training images without end, in the order of `shuffled_indices`, while threads open the next ones.
+
+    Args:
+        images: opens the images.
+        views: training views.
+        seed: seed of the orders.
+        first: number of images already shown.
+        workers: number of threads; the order does not depend on it.
 
     Raises:
         NoSupervisionError: no image has a pixel to learn from.
@@ -160,16 +195,16 @@ def stream_images(
     """
     unscored: set[int] = set()
     places = shuffled_indices(seed, len(views), first)
-    with ThreadPoolExecutor(1, "images") as executor:
+    with ThreadPoolExecutor(workers, "images") as executor:
         waiting: list[tuple[int, Future[TrainingImage]]] = []
         try:
             while True:
-                while len(waiting) < _PREFETCHED:
+                while len(waiting) < workers * _PREFETCHED + 1:
                     place = next(places)
                     waiting.append((place, executor.submit(images, views[place])))
                 place, future = waiting.pop(0)
                 image = future.result()
-                if not image.scored.any():
+                if not image.teaches:
                     unscored.add(place)
                     if len(unscored) == len(views):
                         raise NoSupervisionError(

@@ -15,7 +15,7 @@ from mirror.cli.main import main
 from mirror.dataset import Dataset
 from mirror.dataset.image import Image
 from mirror.errors import DatasetError, ExitCode, UsageError
-from mirror.evaluation.run import evaluate
+from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.evaluation.submission.writing import write_submission
@@ -141,7 +141,7 @@ def test_the_submission_is_sound_and_scored(dataset: Dataset, protocol: Protocol
     assert report.manifest is not None
     assert report.manifest.runtime is not None
     assert report.manifest.runtime.frames_per_second is not None
-    done = evaluate(out, dataset.root, protocol, "novel", tmp_path / "result")
+    done = evaluate(out, dataset.root, protocol, "novel", tmp_path / "result", EvaluationOptions(workers=1))
     assert done.result is not None
     values = {figure.group: figure.value for figure in done.result.figures if figure.level == "group"}
     # Two constant colours have a known mean square error.

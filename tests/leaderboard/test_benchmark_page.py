@@ -27,7 +27,10 @@ def test_commands_lead_from_the_data_to_a_row(
     shutil.copytree(root, tmp_path / "full")
     monkeypatch.chdir(tmp_path)
     # The licence is that of the data; two worker processes would import all that this one has.
-    more = {"dataset publish": ["--licence", "CC0-1.0"], "evaluate full": ["--workers", "1"]}
+    one_process = ["--workers", "1"]
+    more = {
+        "dataset publish": ["--licence", "CC0-1.0"], "evaluate full": one_process, "leaderboard add": one_process,
+    }  # fmt: skip
     for words in commands[3:]:
         assert words[0] == "mirror"
         assert main([*words[1:], *more.get(" ".join(words[1:3]), [])]) == 0, (words, capsys.readouterr().err)

@@ -138,7 +138,7 @@ def test_other_workers_and_an_interruption_give_the_same_bytes(
 def test_a_drive_that_the_policy_ends_has_the_score_0(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert simulate(folder, "FailsLate", tmp_path / "runs") == ExitCode.FINDINGS
+    assert simulate(folder, "FailsLate", tmp_path / "runs", "--workers", "1") == ExitCode.FINDINGS
     assert "the policy failed in guangzhou-urban/cut-in-0" in capsys.readouterr().out
     result = evaluate(folder, tmp_path / "runs", tmp_path / "results")
     scores = {one["metric"]: one["value"] for one in result["figures"] if one["level"] == "group"}

@@ -80,7 +80,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Board:
         ["evaluate", "full", "submission", "--workers", "1", "--out", "results", "--report"],
         ["leaderboard", "key", "--out", "key"],
         ["leaderboard", "add", "results/result.json", "full", "--dataset-name", "street", "--submission", "submission",
-         "--board", "board"],
+         "--workers", "1", "--board", "board"],
         ["leaderboard", "sign", "--key", "key", "--board", "board"],
         ["leaderboard", "build", "--board", "board", "--out", "site"],
     ]  # fmt: skip

@@ -15,8 +15,8 @@ from shapely import LineString, Polygon, box
 from shapely.affinity import rotate, translate
 
 from hybridworldsim.simulator.policies.references import LaneKeeping
-from hybridworldsim.simulator.rollout.curves import Curve, measure_gap
-from hybridworldsim.simulator.rollout.page import DriveContent, list_events, write_page
+from hybridworldsim.simulator.rollout.curves import DriveCurve, measure_gap
+from hybridworldsim.simulator.rollout.page import DrivePageContent, list_events, write_page
 from hybridworldsim.simulator.rollout.run import run_rollout
 from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.safety import StateLog, read_state_log
@@ -41,19 +41,19 @@ def safety() -> SafetyReport:
 
 
 @pytest.fixture
-def content(safety: SafetyReport, tmp_path: Path) -> DriveContent:
+def content(safety: SafetyReport, tmp_path: Path) -> DrivePageContent:
     (tmp_path / "drive.mp4").write_bytes(b"video")
     stamps = [START_NS + number * 500_000_000 for number in range(5)]
     curves = [
-        Curve("Speed", "m/s", "<b>forward</b>", np.array([1.0, 2.0, np.nan, 4.0, 5.0])),
-        Curve("Gap", "m", "ahead", np.full(5, np.nan)),
+        DriveCurve("Speed", "m/s", "<b>forward</b>", np.array([1.0, 2.0, np.nan, 4.0, 5.0])),
+        DriveCurve("Gap", "m", "ahead", np.full(5, np.nan)),
     ]
     scenario = Scenario(name="cut-in", description="A car <cuts> in.")
     lines = ["The drive ended <early>.", "Exact map."]
-    return DriveContent(scenario, "idm", "exact", lines, safety, stamps, curves, tmp_path / "drive.mp4")
+    return DrivePageContent(scenario, "idm", "exact", lines, safety, stamps, curves, tmp_path / "drive.mp4")
 
 
-def test_page_shows_video_figures_and_causes(content: DriveContent, tmp_path: Path) -> None:
+def test_page_shows_video_figures_and_causes(content: DrivePageContent, tmp_path: Path) -> None:
     write_page(tmp_path / "a.html", content)
     text = (tmp_path / "a.html").read_text()
     body = text[text.index("<body") :]
@@ -70,7 +70,7 @@ def test_page_shows_video_figures_and_causes(content: DriveContent, tmp_path: Pa
     assert "<video" not in (tmp_path / "b.html").read_text()
 
 
-def test_its_policy_allows_its_own_script_and_style_only(content: DriveContent, tmp_path: Path) -> None:
+def test_its_policy_allows_its_own_script_and_style_only(content: DrivePageContent, tmp_path: Path) -> None:
     write_page(tmp_path / "a.html", content)
     text = (tmp_path / "a.html").read_text()
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)[1].replace("&#39;", "'")
@@ -82,7 +82,7 @@ def test_its_policy_allows_its_own_script_and_style_only(content: DriveContent, 
     assert " style=" not in text and " onclick=" not in text and "unsafe" not in policy
 
 
-def test_curves_have_gaps_where_there_is_no_value(content: DriveContent, tmp_path: Path) -> None:
+def test_curves_have_gaps_where_there_is_no_value(content: DrivePageContent, tmp_path: Path) -> None:
     write_page(tmp_path / "a.html", content)
     text = (tmp_path / "a.html").read_text()
     data = json.loads(re.search(r'id="curves">(.*?)</script>', text)[1])
@@ -154,7 +154,7 @@ def test_curves_of_a_drive_are_those_of_its_states(tmp_path: Path) -> None:
     assert np.trapezoid(speed, log.times_s) == pytest.approx(way, rel=0.01)
 
 
-def test_marks_follow_the_video_and_events_move_it(content: DriveContent, tmp_path: Path, browser: Browser) -> None:
+def test_marks_follow_the_video_and_events_move_it(content: DrivePageContent, tmp_path: Path, browser: Browser) -> None:
     write_video(tmp_path / "drive.mp4", [np.full((64, 96, 3), 40 * row, np.uint8) for row in range(5)], 2.0)
     write_page(tmp_path / "a.html", content)
     browser.open(tmp_path / "a.html")

@@ -20,7 +20,7 @@ LONGEST_S: Final = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class DriveCurve:
     """A quantity at every state of a drive.
 
     Attributes:
@@ -38,7 +38,7 @@ class Curve:
     digits: int = 1
 
 
-def list_curves(log: StateLog, egos: Sequence[EgoState], road_map: RoadMap) -> list[Curve]:
+def list_curves(log: StateLog, egos: Sequence[EgoState], road_map: RoadMap) -> list[DriveCurve]:
     """List the curves of a drive.
 
     Args:
@@ -49,33 +49,35 @@ def list_curves(log: StateLog, egos: Sequence[EgoState], road_map: RoadMap) -> l
     times_to_collision = time_to_collision(log).min(axis=1)
     margin = drivable_area_compliance(log, road_map.drivable_rings).margin_m
     return [
-        Curve("Speed", "m/s", "forward, of the rear axle", np.array([ego.speed_mps for ego in egos])),
-        Curve(
+        DriveCurve("Speed", "m/s", "forward, of the rear axle", np.array([ego.speed_mps for ego in egos])),
+        DriveCurve(
             "Acceleration",
             "m/s²",
             "forward; negative: braking",
             np.array([ego.acceleration_mps2 for ego in egos]),
             2,
         ),
-        Curve(
+        DriveCurve(
             "Steering",
             "°",
             "angle of the front wheels; positive: to the left",
             np.degrees([ego.steering_rad for ego in egos]),
         ),
-        Curve(
+        DriveCurve(
             "Gap",
             "m",
             f"from the front bumper to the next road user straight ahead, within the ego's width and {FARTHEST_M:g} m",
             measure_gap(log),
         ),
-        Curve(
+        DriveCurve(
             "Time to collision",
             "s",
             f"until the ego touches a road user if all keep their velocities, up to {LONGEST_S:g} s",
             np.where(times_to_collision <= LONGEST_S, times_to_collision, np.nan),
         ),
-        Curve("Margin to the road's edge", "m", "of the worst corner of the ego; negative: off the road", margin, 2),
+        DriveCurve(
+            "Margin to the road's edge", "m", "of the worst corner of the ego; negative: off the road", margin, 2
+        ),
     ]
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from hybridworldsim.simulator.rollout.curves import Curve
+from hybridworldsim.simulator.rollout.curves import DriveCurve
 from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.safety.report import SafetyFigure, SafetyReport
 from mirror.pages.images import inline_video
@@ -42,7 +42,7 @@ _BAD: Final = ("off_road", "wrong_lane")
 
 
 @dataclass(frozen=True, eq=False)
-class DriveContent:
+class DrivePageContent:
     """The content of the page of a drive.
 
     Attributes:
@@ -62,7 +62,7 @@ class DriveContent:
     lines: Sequence[str]
     safety: SafetyReport
     stamps_ns: Sequence[int]
-    curves: Sequence[Curve]
+    curves: Sequence[DriveCurve]
     video: Path | None
 
 
@@ -81,7 +81,7 @@ class Event:
     kind: str
 
 
-def write_page(path: Path, content: DriveContent) -> None:
+def write_page(path: Path, content: DrivePageContent) -> None:
     """Write the page of a drive.
 
     Args:
@@ -168,7 +168,7 @@ def _encode(values: Float64) -> list[float | None]:
     return [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]
 
 
-def _draw_curve(curve: Curve, times: Float64, events: Sequence[Event]) -> dict[str, object]:
+def _draw_curve(curve: DriveCurve, times: Float64, events: Sequence[Event]) -> dict[str, object]:
     """Place the parts of a chart in its box; a curve without any value has no parts."""
     drawn = {"title": curve.title, "unit": curve.unit, "about": curve.about, "width": _WIDTH, "height": _HEIGHT}
     finite = np.isfinite(curve.values)

@@ -22,7 +22,7 @@ from hybridworldsim.simulator.rollout.curves import list_curves
 from hybridworldsim.simulator.rollout.deadline import DeadlineError, PolicyError, PolicyRunner
 from hybridworldsim.simulator.rollout.faulty_sensors import FaultySensors
 from hybridworldsim.simulator.rollout.mosaic import bird_eye, mosaic
-from hybridworldsim.simulator.rollout.page import PAGE_FILE, DriveContent, write_page
+from hybridworldsim.simulator.rollout.page import PAGE_FILE, DrivePageContent, write_page
 from hybridworldsim.simulator.simulation import Simulation, start_simulation
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import EGO, Snapshot, wrap_angles
@@ -182,7 +182,7 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
     safety = score_rollout(states, request.street.road_map, route)
     if request.page:
         egos = [shot.ego for shot in simulation.recorder.snapshots]
-        content = DriveContent(
+        content = DrivePageContent(
             request.scenario,
             request.policy_name,
             request.factory.name,

@@ -186,6 +186,23 @@ class StreetRenderer:
         noisy = noise.add(image.cpu().numpy(), noise_seed)
         return torch.from_numpy(noisy).to(image.device, torch.float32) / 255.0
 
+    def chosen_exposure(self, view: RenderView) -> tuple[Tensor, float, Callable[[Tensor, float], Tensor]] | None:
+        """Return the exposure that the camera of a view chooses; None where the model does not know it.
+
+        Args:
+            view: the view.
+
+        Returns:
+            The unexposed colours (H, W, 3); the logarithm of the gain; and a function of such colours and of the
+            logarithm of a gain that returns the camera's image.
+        """
+        street = self.blocks[self._composition.home(view)][1]
+        if street.light is None:
+            return None
+        light, source = street.light, self._source(street, view)
+        colours = self.render_unexposed(view, None)[0].rgb
+        return colours, light.log_gain(colours, source), lambda image, gain: light.response(image, source.camera, gain)
+
     def _render_unexposed(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
         output, counts = self._composition.render(view, self.latents(view), self._lamps(view))
         # A view that sees no node has no Gaussians.

@@ -86,7 +86,7 @@ def _prepare(folder: Path, preset: str) -> None:
     recordings, dataset = folder / "recordings", folder / "dataset"
     if not (recordings / "rois.geojson").is_file():
         _run("synth", "--preset", preset, "--out", str(recordings))
-    if not (dataset / "index" / "manifest.json").is_file():
+    if not (dataset / "index" / "snapshots").is_dir():
         rois = str(recordings / "rois.geojson")
         _run("ingest", str(recordings), "--rois", rois, "--licence", "CC0-1.0", "--out", str(dataset))
     if not (dataset / "splits" / "novel.json").is_file():

@@ -186,7 +186,7 @@ def main(argv: Sequence[str]) -> int:
     def rows(folder: Path) -> Iterator[Row]:
         for count in options.rows:
             root = (options.keep or folder) / f"rows-{count}"
-            if not (root / "index" / "manifest.json").is_file():
+            if not (root / "index" / "snapshots").is_dir():
                 generate(root, count)
             yield from query_rows(root)
         yield decode_row(folder / "images")

@@ -106,7 +106,7 @@ def main(argv: Sequence[str]) -> int:
 
     def rows(folder: Path) -> Iterator[Row]:
         root = folder / f"traversals-{options.traversals}"
-        if not (root / "index" / "manifest.json").is_file():
+        if not (root / "index" / "snapshots").is_dir():
             generate(root, options.traversals)
         start = time.perf_counter()
         dataset = mirror.open(root)

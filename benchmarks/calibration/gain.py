@@ -94,7 +94,7 @@ def prepare(folder: Path) -> None:
     recordings, dataset = folder / "recordings", folder / "dataset"
     if not (recordings / "rois.geojson").is_file():
         _run("synth", "--out", recordings, "--preset", PRESET, "--scenes", 1, "--seed", _SEED, "--workers", 1)
-    if not (dataset / "index" / "manifest.json").is_file():
+    if not (dataset / "index" / "snapshots").is_dir():
         drives = [recordings / f"{SCENE}-{number}" for number in DRIVES]
         _run("ingest", *drives, "--rois", recordings / "rois.geojson", "--out", dataset, "--licence", "CC0-1.0")
     if not (dataset / "splits" / "novel.json").is_file():

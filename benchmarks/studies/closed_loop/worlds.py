@@ -85,7 +85,7 @@ def make_recordings(folder: Path, streets: Mapping[str, Any], seed: int) -> None
     from mirror.cli.main import main
 
     recordings, dataset = folder / "recordings", folder / "dataset"
-    if not (dataset / "index" / "manifest.json").is_file():
+    if not (dataset / "index" / "snapshots").is_dir():
         _run(main, ["synth", "--out", str(recordings), "--preset", streets["preset"], "--seed", str(seed),
                     "--scenes", "1", "--workers", "1"])  # fmt: skip
         drives = [str(path.parent) for path in sorted(recordings.glob("*/recording.json"))]

@@ -89,7 +89,7 @@ class RoadModel:
                 drive = self.drive(f"{route}-s{seed}")
                 folders.append(recordings / drive.drive_id)
                 write_recording(folders[-1], drive, rig, float(road.recordings["spacing_m"]), road.stretch_m)
-        if not (dataset / "index" / "manifest.json").is_file():
+        if not (dataset / "index" / "snapshots").is_dir():
             write_region(recordings / "rois.geojson", drive, road.name)
             _run("ingest", *map(str, folders), "--rois", str(recordings / "rois.geojson"), "--out", str(dataset),
                  "--workers", "1", "--licence", "CC0-1.0")  # fmt: skip

@@ -69,7 +69,7 @@ def prepare(
     if not (recordings / "rois.geojson").is_file():
         _run(main, ["synth", "--out", str(recordings), "--preset", declaration.preset,
                     "--seed", str(declaration.scenes_seed)])  # fmt: skip
-    if not (dataset / "index" / "manifest.json").is_file():
+    if not (dataset / "index" / "snapshots").is_dir():
         # Beside the recordings lies the folder of exact maps.
         drives = [str(path.parent) for path in sorted(recordings.glob("*/recording.json"))]
         _run(main, ["ingest", *drives, "--rois", str(recordings / "rois.geojson"), "--out", str(dataset),

@@ -82,10 +82,10 @@ manifest = SubmissionManifest.model_construct(method=SubmittedMethod(name="any")
 result = Result.model_construct(figures=(figure,), submission=manifest, protocol=protocol)
 notes = Footnotes()
 listed = render_part("mirror.evaluation", "figures.html", "metrics", list_measures(result))
-assert "<b>mean_error</b>: mean difference of the scored pixels; lower is better." in listed
+assert "<b>Error</b> <code>mean_error</code>: mean difference of the scored pixels; lower is better." in listed
 table = summary_table(result, (), notes)
 shown = render_part("mirror.evaluation", "figures.html", "figures_table", table.head, table.rows)
-assert "5.0000" in shown and "mean_error, levels" in shown
+assert "5.0000" in shown and "Error, levels ↓" in shown
 assert find_measure("mean_error").better == "lower" and "| `mean_error` |" in format_tables()
 """
 _USE_OF_ROLLOUTS = """

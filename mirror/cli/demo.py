@@ -74,6 +74,7 @@ def main(argv: Sequence[str]) -> int:
         print(f"{out / 'boxes.html'} shows the road users that a network found in one drive.")
         if _has_drive(arguments):
             print(f"{out / 'block' / 'drive' / 'report.html'} shows a drive through a reconstructed block,")
+            print(f"{out / 'suite' / 'results' / 'report.html'} the twenty drives of a suite,")
         print(f"{out / 'block' / 'model'} is a reconstructed block, {out / 'block' / 'results'} has its scores:")
         return _compare_block(out / "block" / "results")
     if not arguments.quick:
@@ -155,6 +156,8 @@ def _commands(arguments: Arguments) -> Iterator[list[str]]:
     if _has_reconstruction(arguments):
         yield from _annotation(arguments, rois)
         yield from _block(arguments)
+    if _has_drive(arguments):
+        yield from _suite(arguments)
     yield ["mirror", "leaderboard", "build", "--board", str(out / "board"), "--unsigned", "--out", str(out / "site")]
 
 
@@ -230,6 +233,16 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
     if _has_drive(arguments):
         drive = ["--scenario", "hard-brake", "--policy", "idm", "--duration", "10", "--cameras", "front_wide,rear"]
         yield ["mirror", "simulate", dataset, model, *drive, "--report", *_ON_CPU, "--out", str(out / "drive")]
+
+
+def _suite(arguments: Arguments) -> Iterator[list[str]]:
+    """The commands that drive a policy through the short suite, score it, and put it on the board."""
+    out, name = arguments.out / "suite", "closed-loop-mini"
+    runs, results, board = str(out / "runs"), out / "results", str(arguments.out / "board")
+    yield ["mirror", "simulate", "--suite", name, "--policy", "idm", "--out", runs]
+    yield ["mirror", "evaluate", runs, "--protocol", name, "--report", "--out", str(results)]
+    row = ["--again", "--dataset-name", "practice suite", "--board", board]
+    yield ["mirror", "leaderboard", "add", str(results / "result.json"), runs, *row]
 
 
 def _typed(words: Sequence[str]) -> str:

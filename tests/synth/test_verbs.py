@@ -96,7 +96,7 @@ def test_demo_replaces_only_its_own_folder(
 ) -> None:
     ran: list[list[str]] = []
     floors = ["nearest_frame", "smoothed_nearest_frame", "grey_frame", "camera_mean", "mean_color"]
-    scores = {"reconstructed": 17.5, **dict.fromkeys(floors, 11.0), "nearest_frame": 13.25}
+    scores = {"reconstructed": 17.5, **dict.fromkeys(floors, 11.0), "nearest_frame": 13.25, "results": 0.0}
 
     def record_command(words: list[str]) -> int:
         ran.append(words)
@@ -121,8 +121,8 @@ def test_demo_replaces_only_its_own_folder(
         words[4] if words[1] == "baseline" else words[2] for words in ran if words[1] in ("baseline", "leaderboard")
     ]
     street = ["nearest_frame", "add", "mean_color", "add"]
-    # The board, which is built last, also lists the block and all floors on it.
-    block = [*floors, *["add"] * 6, "build"]
+    # The board, which is built last, also lists the block, all floors on it, and the drives of the short suite.
+    block = [*floors, *["add"] * 6, "add", "build"]
     assert steps == [*street, *block]
     verbs = [words[1] for words in ran]
     assert verbs.index("reconstruct") < verbs.index("render") < verbs.index("compare")

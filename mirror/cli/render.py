@@ -202,7 +202,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     if arguments.headlights == "off" and not find_capabilities(model.method).has_headlights:
         raise UsageError(
             f"method {name} does not know the vehicle's headlights", place="--headlights", expected="on",
-            remedy="train a model with --method hybridworldsim_light",
+            remedy="train a model with `mirror reconstruct --method hybridworldsim_light`",
         )  # fmt: skip
     policy = AppearancePolicy(views=views, everywhere=True, headlights=arguments.headlights == "on")
     render = open_by_camera(model, policy, appearances, device=device)

@@ -14,7 +14,7 @@ from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.schema.documents import DatasetDocument
 from mirror.schema.files import parse_json
 from mirror.schema.hashing import hash_document
-from mirror.schema.snapshot import SNAPSHOTS, Snapshot
+from mirror.schema.snapshot import SNAPSHOTS, IndexSnapshot
 
 
 def read_document(store: Store) -> DatasetDocument:
@@ -32,7 +32,7 @@ def read_document(store: Store) -> DatasetDocument:
     return parse_json(data, DatasetDocument, store.full_path("dataset.json"))
 
 
-def open_snapshot(store: Store, at: int | None = None) -> tuple[Store, int, Snapshot, str]:
+def open_snapshot(store: Store, at: int | None = None) -> tuple[Store, int, IndexSnapshot, str]:
     """Open a snapshot of the index.
 
     Args:
@@ -71,7 +71,7 @@ def open_snapshot(store: Store, at: int | None = None) -> tuple[Store, int, Snap
     return held, number, snapshot, hash_snapshot(snapshot)
 
 
-def hash_snapshot(snapshot: Snapshot) -> str:
+def hash_snapshot(snapshot: IndexSnapshot) -> str:
     """Return a hash of what a snapshot holds: of one whole segment, that of its manifest."""
     if len(snapshot.segments) == 1 and snapshot.segments[0].is_whole:
         return snapshot.segments[0].manifest

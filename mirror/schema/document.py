@@ -33,8 +33,8 @@ _DOCUMENTS: Sequence[type[BaseModel]] = (
     documents.Manifest,
     documents.FileEntry,
     documents.ImageTotals,
-    snapshot.Snapshot,
-    snapshot.Segment,
+    snapshot.IndexSnapshot,
+    snapshot.IndexSegment,
     snapshot.SegmentSources,
     snapshot.DriveSource,
 )

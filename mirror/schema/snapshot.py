@@ -17,7 +17,7 @@ _NAME: Final = re.compile(r"([0-9]{8})\.json")
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
-class Segment(Document):
+class IndexSegment(Document):
     """A part of the index: immutable tables of some drives, in the folder ``index/<name>/``.
 
     Attributes:
@@ -37,7 +37,7 @@ class Segment(Document):
     is_whole: bool = True
 
 
-class Snapshot(Document):
+class IndexSnapshot(Document):
     """``index/snapshots/<number>.json``: a state of the index, which never changes.
 
     Attributes:
@@ -48,15 +48,15 @@ class Snapshot(Document):
 
     schema_version: str = SCHEMA_VERSION
     oldest: int = Field(default=1, ge=1)
-    segments: tuple[Segment, ...] = ()
+    segments: tuple[IndexSegment, ...] = ()
 
     @property
-    def drives(self) -> dict[str, Segment]:
+    def drives(self) -> dict[str, IndexSegment]:
         """The segment of each drive."""
         return {drive_id: segment for segment in self.segments for drive_id in segment.drives}
 
     @property
-    def scenes(self) -> dict[str, Segment]:
+    def scenes(self) -> dict[str, IndexSegment]:
         """The segment of each scene's row."""
         return {scene_id: segment for segment in self.segments for scene_id in segment.scenes}
 

@@ -13,7 +13,7 @@ from mirror.schema.documents import DatasetDocument, Roi
 from mirror.schema.files import conform, encode_table, read_json, read_table, write_bytes, write_table
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.tables import EGO_POSES, LAYERS, PASSES, RECORDED
-from mirror.schema.version import SCHEMA_VERSION, require_readable
+from mirror.schema.version import DATASET_VERSION, SCHEMA_VERSION, require_readable
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -118,7 +118,8 @@ def test_broken_json_names_line_and_key(tmp_path: Path) -> None:
     path.write_text('{"schema_version": "1.0.0",\n "trigger": {')
     with pytest.raises(SchemaError, match="line 2"):
         read_json(path, DatasetDocument)
-    path.write_text('{"schema_version": "1.0.0", "trigger": {"min_path_m": -3}, "cleaning": {}}')
+    document = {"schema_version": DATASET_VERSION, "trigger": {"min_path_m": -3}, "cleaning": {}}
+    path.write_text(json.dumps(document))
     with pytest.raises(SchemaError, match=r"trigger\.min_path_m"):
         read_json(path, DatasetDocument)
 

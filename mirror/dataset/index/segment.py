@@ -19,7 +19,7 @@ from mirror.schema.commit import ConflictError, commit_folder
 from mirror.schema.documents import FileEntry, Manifest
 from mirror.schema.files import sha256_bytes, unwritable_error, write_bytes, write_json
 from mirror.schema.index_tables import ROW_GROUPS, TRAVERSALS
-from mirror.schema.snapshot import SOURCES, Segment
+from mirror.schema.snapshot import SOURCES, IndexSegment
 
 WORK: Final = ".segment"
 _NAME_DIGITS: Final = 16
@@ -27,7 +27,7 @@ _NAME_DIGITS: Final = 16
 
 def write_segment(
     layout: Layout, inputs: IndexInputs, add: Callable[[], None] = lambda: None, *, repair: bool = False
-) -> Segment:
+) -> IndexSegment:
     """Derive the tables of some drives and scenes, and commit them as a segment.
 
     The bytes are a pure function of the inputs. The tables are made in a folder of this call alone; an equal segment of
@@ -81,7 +81,7 @@ def write_segment(
         manifest = Manifest(derived_from=dict(sorted(inputs.fingerprints.items())), files=dict(sorted(entries.items())))
         write_json(work.path / MANIFEST, manifest)
         sha256 = sha256_bytes((work.path / MANIFEST).read_bytes())
-        segment = Segment(
+        segment = IndexSegment(
             name=sha256[:_NAME_DIGITS],
             manifest=sha256,
             sources=sha256_bytes(sources),
@@ -102,7 +102,7 @@ def write_segment(
             layout.index.rmdir()
 
 
-def is_segment_intact(layout: Layout, segment: Segment) -> bool:
+def is_segment_intact(layout: Layout, segment: IndexSegment) -> bool:
     """Return whether all files of a segment have their hashes."""
     folder = layout.segment(segment.name)
     if not is_intact(folder) or not (folder / SOURCES).is_file():

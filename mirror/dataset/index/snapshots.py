@@ -18,9 +18,9 @@ from mirror.schema.files import parse_json, sha256_bytes
 from mirror.schema.snapshot import (
     SNAPSHOTS,
     SOURCES,
-    Segment,
+    IndexSegment,
+    IndexSnapshot,
     SegmentSources,
-    Snapshot,
     snapshot_number,
     snapshot_path,
 )
@@ -37,7 +37,7 @@ class IndexState:
     """
 
     number: int
-    snapshot: Snapshot
+    snapshot: IndexSnapshot
     sources: SegmentSources
 
 
@@ -54,7 +54,7 @@ def list_snapshots(store: Store) -> list[int]:
     return found
 
 
-def read_snapshot(store: Store, number: int) -> Snapshot:
+def read_snapshot(store: Store, number: int) -> IndexSnapshot:
     """Read a snapshot.
 
     Raises:
@@ -66,7 +66,7 @@ def read_snapshot(store: Store, number: int) -> Snapshot:
         data = store.read(path) if store.generation is None else store.generation.snapshot
     except FileNotFoundError as error:
         raise DatasetError("missing", file=store.full_path(path), expected="a snapshot of the index") from error
-    return parse_json(data, Snapshot, store.full_path(path))
+    return parse_json(data, IndexSnapshot, store.full_path(path))
 
 
 def read_state(store: Store) -> IndexState | None:
@@ -102,7 +102,7 @@ def read_state(store: Store) -> IndexState | None:
 
 def put_snapshot(
     layout: Layout,
-    segment: Segment | None,
+    segment: IndexSegment | None,
     *,
     without_segments: Collection[str] = (),
     without_drives: Collection[str] = (),
@@ -138,7 +138,7 @@ def put_snapshot(
         segments = (*kept, *(() if segment is None else (segment,)))
         if number and segments == before.segments:
             return number
-        after = Snapshot(oldest=number + 1 if loses_rows or not number else before.oldest, segments=segments)
+        after = IndexSnapshot(oldest=number + 1 if loses_rows or not number else before.oldest, segments=segments)
         try:
             commit_bytes(layout.root / snapshot_path(number + 1), encode_snapshot(after))
         except ConflictError:
@@ -152,23 +152,23 @@ def newest_segments(layout: Layout) -> frozenset[str]:
     return frozenset(segment.name for segment in _newest(Store(layout.root))[1].segments)
 
 
-def encode_snapshot(snapshot: Snapshot) -> bytes:
+def encode_snapshot(snapshot: IndexSnapshot) -> bytes:
     """Encode a snapshot as the bytes of its file."""
     return (json.dumps(snapshot.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n").encode()
 
 
-def _newest(store: Store) -> tuple[int, Snapshot]:
+def _newest(store: Store) -> tuple[int, IndexSnapshot]:
     numbers = list_snapshots(store)
     if not numbers:
-        return 0, Snapshot()
+        return 0, IndexSnapshot()
     try:
         return numbers[-1], read_snapshot(store, numbers[-1])
     except SchemaError:
         # Damaged. What it named is derived again before anything is put on top of it.
-        return numbers[-1], Snapshot(oldest=numbers[-1] + 1)
+        return numbers[-1], IndexSnapshot(oldest=numbers[-1] + 1)
 
 
-def _without(segment: Segment, drives: set[str], scenes: set[str]) -> Segment | None:
+def _without(segment: IndexSegment, drives: set[str], scenes: set[str]) -> IndexSegment | None:
     """A segment without some drives and rows of scenes; None: nothing is left of it."""
     kept = tuple(drive_id for drive_id in segment.drives if drive_id not in drives)
     kept_scenes = tuple(scene_id for scene_id in segment.scenes if scene_id not in scenes)

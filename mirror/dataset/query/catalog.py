@@ -26,7 +26,7 @@ from mirror.dataset.query.files import TableFiles
 from mirror.dataset.store import Store
 from mirror.dataset.withheld import read_withheld
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
-from mirror.schema.snapshot import Segment, Snapshot
+from mirror.schema.snapshot import IndexSegment, IndexSnapshot
 
 TABLES: Final = {table.name: table for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE)}
 GLOBAL: Final = frozenset(table.name for table in INDEX_GLOBAL)
@@ -79,7 +79,7 @@ class Catalog:
         snapshot: the snapshot.
     """
 
-    def __init__(self, store: Store, snapshot: Snapshot) -> None:
+    def __init__(self, store: Store, snapshot: IndexSnapshot) -> None:
         self.store = store
         self.snapshot = snapshot
         self.columns = ColumnCache(TableFiles(store, snapshot))
@@ -111,7 +111,7 @@ class Catalog:
             table = table.set_column(list(columns).index(column), field, [pa.array(values, field.type)])
         return table
 
-    def _read_segment(self, segment: Segment, name: str, columns: Sequence[str]) -> pa.Table:
+    def _read_segment(self, segment: IndexSegment, name: str, columns: Sequence[str]) -> pa.Table:
         """The rows of one segment that are read."""
         path, schema = f"index/{segment.name}/{name}.parquet", _schema(name, columns)
         parts = [

@@ -19,7 +19,7 @@ from mirror.dataset.store import Store, unreadable_error
 from mirror.errors import DatasetError
 from mirror.schema.documents import FileEntry, Manifest
 from mirror.schema.files import parse_json, sha256_bytes
-from mirror.schema.snapshot import Snapshot
+from mirror.schema.snapshot import IndexSnapshot
 from mirror.schema.version import require_readable
 
 MAX_OPEN_FILES: Final = 64
@@ -39,7 +39,7 @@ class TableFiles:
         snapshot: of the index; the manifests of its segments are read when a file of theirs is opened.
     """
 
-    def __init__(self, store: Store, snapshot: Snapshot) -> None:
+    def __init__(self, store: Store, snapshot: IndexSnapshot) -> None:
         self.store = store
         self._segments = {segment.name: segment for segment in snapshot.segments}
         self._entries: dict[str, Mapping[str, FileEntry]] = {}

@@ -96,7 +96,7 @@ def main(argv: Sequence[str]) -> int:
                 recording = find_reader(path, arguments.reader).open(path, reader_options(arguments.option))
                 out = arguments.out if len(paths) == 1 else arguments.out / recording.info.drive_id
             with progress_bar(quiet=arguments.json) as progress:
-                reports.append(find_poses(recording, path, out, options, progress))
+                reports.append(find_poses(recording, path, out, options, progress, parts_in=arguments.out))
         except MirrorError as error:
             if len(paths) == 1:
                 raise

@@ -158,6 +158,12 @@ def test_a_track_is_corrected_between_and_beyond_the_images() -> None:
     both, poses = correct_track(stamps, track, times, found)
     assert both.tolist() == sorted({*stamps.tolist(), *times.tolist()})
     assert np.allclose(poses.translation[:, 1], 2.0) and np.allclose(poses.translation[:, 0], both / 10_000_000)
+    # A wrong heading is corrected, and does not turn the way.
+    turn = quaternion_exp(np.array([[0.0, 0.0, np.radians(2.0)]]))
+    wrong = Poses(np.repeat(turn, 11, axis=0), track.translation)
+    _, mended = correct_track(stamps, wrong, times, right)
+    assert angle_between_deg(mended.rotation, np.tile([1.0, 0.0, 0.0, 0.0], (len(mended), 1))).max() < 1e-9
+    assert np.abs(mended.translation[:, 1:]).max() < 1e-12
 
 
 def test_images_in_a_wrong_place_are_found_at_the_end_of_a_pass_and_within_it() -> None:

@@ -16,6 +16,7 @@ from mirror.errors import ExitCode, UsageError
 from mirror.geometry import Poses, angle_between_deg, quaternion_exp, quaternion_from_heading_pitch_roll
 from mirror.geometry.poses import COLUMNS
 from mirror.localisation.structure.maps import ImageMap
+from mirror.localisation.structure.placing import keep_roll
 from mirror.localisation.structure.rig_scale import OtherCamera, scale_from_rig
 from mirror.localisation.structure.road import mean_up, measure_road, mounting_rotation
 from mirror.localisation.structure.similarity import fit_track
@@ -212,3 +213,15 @@ def test_a_rider_in_a_mask_is_not_used(recording: Path, tmp_path: Path) -> None:
         cv2.imwrite(str(masks / f"{START_NS + number * STEP_NS}.png"), np.full((300, 400), 255, np.uint8))
     words = ("--length-m", "6.5", "--masks", str(tmp_path / "masks"), "--out", str(tmp_path / "m"))
     assert main(["poses", str(recording), *words]) == ExitCode.COULD_NOT_RUN
+
+
+def test_an_adjustment_to_a_straight_way_keeps_the_roll() -> None:
+    ego = drive(40)
+    straight = Poses(ego.rotation, ego.translation * (1.0, 0.02, 0.0))
+    axis = np.linalg.svd(straight.translation - straight.translation.mean(axis=0))[2][0]
+    turn = quaternion_exp((np.radians(9.0) * axis)[None])
+    rolled = Poses(turn, np.zeros((1, 3)))[np.zeros(40, np.int64)] @ straight
+    kept = keep_roll(straight, rolled)
+    assert angle_between_deg(kept.rotation, straight.rotation).max() < 0.01
+    off = kept.translation - rolled.translation
+    assert np.linalg.norm(off - off.mean(axis=0), axis=1).max() < 0.1

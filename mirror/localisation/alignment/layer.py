@@ -12,7 +12,7 @@ import numpy as np
 from mirror.arrays import Int64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.derived_layer import DerivedLayer
-from mirror.geometry import Poses, interpolate
+from mirror.geometry import Poses, interpolate, quaternion_inverse, quaternion_multiply
 from mirror.geometry.geodesy import TangentFrame
 from mirror.localisation.alignment.report import PassReport
 from mirror.schema.tables import EGO_POSES
@@ -37,7 +37,8 @@ def aligned_layer(view: Dataset, traversal_id: str, version: str, inputs: Mappin
 def correct_track(stamps: Int64, track: Poses, times: Int64, found: Poses) -> tuple[Int64, Poses]:
     """Correct a whole track by the poses that are known at some times.
 
-    Between these times the correction is interpolated, beyond them it stays; at them the poses are those given.
+    Between these times the corrections of position and rotation are interpolated, beyond them they stay; at them the
+    poses are those given. The two are apart, because a wrong heading does not turn the way that a receiver records.
 
     Args:
         stamps: (N,) ascending times of the recorded poses, which cover the others.
@@ -48,10 +49,13 @@ def correct_track(stamps: Int64, track: Poses, times: Int64, found: Poses) -> tu
     Returns:
         Ascending times (K,) of both, and K poses.
     """
-    correction = found @ interpolate(stamps, track, times).inverse()
+    recorded = interpolate(stamps, track, times)
+    turn = quaternion_multiply(found.rotation, quaternion_inverse(recorded.rotation))
+    correction = Poses(turn, found.translation - recorded.translation)
     others = stamps[~np.isin(stamps, times)]
     kept = interpolate(stamps, track, others)
-    moved = interpolate(times, correction, np.clip(others, times[0], times[-1])) @ kept
+    change = interpolate(times, correction, np.clip(others, times[0], times[-1]))
+    moved = Poses(quaternion_multiply(change.rotation, kept.rotation), kept.translation + change.translation)
     both = np.concatenate([times, others])
     order = np.argsort(both, kind="stable")
     joined = Poses(

@@ -13,7 +13,17 @@ from mirror.arrays import Float64, Int64
 from mirror.calibration.refinement.features import find_features
 from mirror.calibration.tracking import TrackedImage
 from mirror.errors import UsageError
-from mirror.geometry import Poses, interpolate, matrix_from_quaternion, quaternion_from_matrix
+from mirror.geometry import (
+    Poses,
+    interpolate,
+    matrix_from_quaternion,
+    quaternion_exp,
+    quaternion_from_matrix,
+    quaternion_inverse,
+    quaternion_log,
+    quaternion_multiply,
+    rotate,
+)
 from mirror.geometry.poses import COLUMNS, to_pose_numbers
 from mirror.localisation.structure.inputs import DriveInputs
 from mirror.localisation.structure.maps import ImageMap, read_poses
@@ -227,7 +237,7 @@ class PartPlacer:
         towards = places + turns @ mounting.translation[0]
         sigma = fixes.sigma_at(stamps) * np.sqrt(_shared(stamps))
         adjust_to_track(reconstruction, part.used[known], towards[known], sigma[known])
-        cameras = read_poses(reconstruction, part.used.tolist())
+        cameras = keep_roll(level.move_poses(part.world_SE3_camera), read_poses(reconstruction, part.used.tolist()))
         own = np.flatnonzero((fixes.time_ns >= stamps[0]) & (fixes.time_ns <= stamps[-1]))
         ego = interpolate(stamps, cameras @ back, fixes.time_ns[own])
         off = np.linalg.norm((ego.translation - fixes.places[own])[:, :2], axis=1)
@@ -304,6 +314,23 @@ def _to_calibration(row: Mapping[str, Any]) -> Calibration:
     names = set(Calibration.model_fields) - {"ego_SE3_camera"}
     plain = {name: row[name] for name in names if name in row}
     return Calibration(**plain, ego_SE3_camera=tuple(row[name] for name in COLUMNS))
+
+
+def keep_roll(before: Poses, after: Poses) -> Poses:
+    """Turn poses back about their way, so that their mean roll is that of other poses.
+
+    Positions on a straight way do not hold the roll about it: an adjustment to them turns it to fit their noise.
+
+    Args:
+        before: N poses with the roll to keep.
+        after: N poses.
+    """
+    middle = after.translation.mean(axis=0)
+    axis = np.linalg.svd(after.translation - middle)[2][0]
+    turns = quaternion_log(quaternion_multiply(before.rotation, quaternion_inverse(after.rotation)))
+    back = quaternion_exp((axis * float(axis @ turns.mean(axis=0)))[None])
+    about = Poses(back, middle[None] - rotate(back, middle[None]))
+    return _repeat(about, len(after)) @ after
 
 
 def _repeat(pose: Poses, count: int) -> Poses:

@@ -43,12 +43,18 @@ def require_pycolmap() -> None:
 
 
 def find_poses(
-    recording: Recording, source: Path, out: Path, options: StructureOptions, progress: ProgressReporter | None = None
+    recording: Recording,
+    source: Path,
+    out: Path,
+    options: StructureOptions,
+    progress: ProgressReporter | None = None,
+    *,
+    parts_in: Path | None = None,
 ) -> PosesReport:
     """Register the images of one camera of a recording, and write a recording with poses for each part of the drive.
 
-    One part is written to ``out`` itself, several to folders in it. Only registered images of the camera are in it;
-    images of other cameras are, where their time lies within the part.
+    One part is written to ``out`` itself, several to ``DRIVE_1``, ``DRIVE_2`` in ``parts_in``. Only registered images
+    of the camera are in it; images of other cameras are, where their time lies within the part.
 
     Args:
         recording: the recording, with or without poses. Of its poses only positions are used.
@@ -56,6 +62,7 @@ def find_poses(
         out: a new folder.
         options: settings.
         progress: receives the phases and their progress.
+        parts_in: folder of the recordings of several parts; None: ``out``.
 
     Raises:
         UsageError: too few images can be registered, or there is nothing that gives the scale.
@@ -64,7 +71,15 @@ def find_poses(
     """
     require_pycolmap()
     require_scipy()
-    return _Registration(DriveInputs(recording, source, options), progress or NullProgress()).run(out)
+    registration = _Registration(DriveInputs(recording, source, options), progress or NullProgress())
+    return registration.run(out, parts_in or out)
+
+
+def _rename(made: DerivedRecording, report: PartReport, drive: str, out: Path) -> tuple[DerivedRecording, PartReport]:
+    """Give the only part of a drive the id of the drive and the folder of the output."""
+    frame = drive if made.info.frame == made.info.drive_id else made.info.frame
+    info = replace(made.info, drive_id=drive, frame=frame)
+    return replace(made, info=info), replace(report, recording=out)
 
 
 class _Registration:
@@ -74,7 +89,7 @@ class _Registration:
         self.inputs, self.options, self.progress = inputs, inputs.options, progress
         self.report = PosesReport(inputs.source, inputs.camera.info.name)
 
-    def run(self, out: Path) -> PosesReport:
+    def run(self, out: Path, parts_in: Path) -> PosesReport:
         """Register, and write the parts."""
         options, report = self.options, self.report
         images = self._read_images()
@@ -110,15 +125,16 @@ class _Registration:
                 remedy="take --camera-height-m METRES, or give a smaller --motion-percent",
             )  # fmt: skip
         placer, made = PartPlacer(self.inputs, self.progress), list[tuple[DerivedRecording, PartReport]]()
+        drive = self.inputs.recording.info.drive_id
         for number, part in enumerate(large):
-            folder = out if len(large) == 1 else out / f"{self.inputs.recording.info.drive_id}_{number + 1}"
-            name = self.inputs.recording.info.drive_id + ("" if len(large) == 1 else f"_{number + 1}")
             try:
-                made.append(placer.place(images, part, name, folder))
+                made.append(placer.place(images, part, f"{drive}_{number + 1}", parts_in / f"{drive}_{number + 1}"))
             except UsageError as error:
                 if len(large) == 1:
                     raise
                 report.refused.append(f"{describe_part(images, part)}: {error}")
+        if len(made) == 1:
+            made = [_rename(*made[0], drive, out)]
         if not made:
             raise UsageError(
                 "no part of the drive has a scale", file=self.inputs.source, expected="; ".join(report.refused),

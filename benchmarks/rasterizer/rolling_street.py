@@ -47,7 +47,7 @@ class Recorded(NamedTuple):
 
 
 class View(NamedTuple):
-    """What training is given of an image: colours, the poses of its first and last rows, and points."""
+    """The part of an image that training is given: colours, the poses of its first and last rows, and points."""
 
     rgb: Tensor  # (H, W, 3)
     ends: tuple[Tensor, Tensor]  # camera_SE3_world

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from mirror.errors import SchemaError
-from mirror.schema.scenario import encode_scenario, parse_scenario
+from mirror.schema.scenario import Scenario, encode_scenario, parse_scenario
 
 # Place, default (`-`: it is required, `none`: it may be left out), and interval.
 NUMBERS = """
@@ -134,3 +136,5 @@ def test_a_number_has_its_default_and_its_limits(place: str, default: str, low: 
     for text in ("inf", "-inf", "nan"):
         with pytest.raises(SchemaError):
             read(place, text)
+        with pytest.raises(ValidationError):
+            Scenario.model_validate(tomllib.loads(texts(place, text)))

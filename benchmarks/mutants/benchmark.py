@@ -11,12 +11,15 @@ file keep theirs. ``--fresh`` ignores the stored outcomes. The names of the samp
 longer has count as gone; ``--draw`` replaces the sample by the mutants of the present source with the least hashes.
 
 Nothing runs in the checkout: the tracked files and the real recordings (of MIRROR_REAL_DATA) are copied once, and every
-mutant gets a tree of hard links to this copy, in which the changed file is another one. First the tests run without a
-mutant; this run records how long each test takes and which functions it calls. A test that fails, and fails once more
-alone, is left out and cannot kill. Of the tests of a mutant's area those run that can notice the change
-(`selection.py`): first the likeliest of all mutants, as many as take ``--first-s``, then the rest against the mutants
-that survived them. Compiled kernels are removed from a tree if their module imports the changed one, directly or
-indirectly, and the change can reach compiled code. All limits are in processor time.
+mutant gets a tree of hard links to this copy, in which the changed file is another one. First the test files run whose
+names and imports are nearest to the mutant, as long as ``--first-s`` allows; a kill counts where the same test passes
+without the mutant. What survives them meets all tests of its area that can notice the change (`selection.py`): a clean
+run, once for each area, records which functions each test calls. Compiled kernels are removed from a tree if their
+module imports the changed one, directly or indirectly, and the change can reach compiled code. All limits are in
+processor time.
+
+Expected for 300 mutants: one and a half core-hours. Measured: 3.9 s a mutant for the nearest files (2.2 s where one of
+them kills it), of 89; clean runs of all areas take about ten minutes, and a survivor a minute.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import tyro
 
 from mirror.command_line import help_text, parse_arguments, parse_settings
 from mirror.counting import count_of
-from mirror.devices import choose_device
+from mirror.devices import AUTO, choose_device
 from mirror.errors import ExitCode, UsageError
 from mirror.plugins import is_file_reference
 
@@ -83,6 +83,8 @@ class Arguments:
     """Number of threads."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
     """Device that trains. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
+    devices: Annotated[str | None, help_text(default="that of --device", metavar="0,1,...")] = None
+    """Devices of one kind that train blocks at the same time, one process each: numbers of GPUs, or names."""
     fp16: bool = False
     """Write the model in half precision (16-bit floats)."""
     json: bool = False
@@ -114,14 +116,18 @@ def main(argv: Sequence[str]) -> int:
     require_output_folder(arguments.out, FolderKind.MODEL)
     method = load_method(arguments.method)
     capabilities = find_capabilities(method)
-    device = choose_device(
-        arguments.device, f"method {method_label(arguments.method)}", takes_device=capabilities.takes_device,
-        splats=capabilities.rasterizes,
-    )  # fmt: skip
+    label, asked = f"method {method_label(arguments.method)}", _named_devices(arguments)
+    devices = [
+        choose_device(name, label, takes_device=capabilities.takes_device, splats=capabilities.rasterizes)
+        for name in asked
+    ]
+    device = devices[0]
+    if len({one.is_cuda for one in devices}) > 1:
+        raise UsageError(arguments.devices or "", place="--devices", expected="devices of one kind")
     defaults = training_defaults(device.name)
     has_budget = arguments.minutes is not None or arguments.steps is not None
     if not arguments.json:
-        print(device, flush=True)
+        print("\n".join(map(str, devices)), flush=True)
         if used := defaults.describe(width=arguments.width is None, budget=not has_budget):
             print(f"defaults on this device: {used}", flush=True)
 
@@ -160,6 +166,7 @@ def main(argv: Sequence[str]) -> int:
         half=arguments.fp16,
         settings=parse_settings(arguments.set),
         device=device.name,
+        devices=tuple(one.name for one in devices) if len(devices) > 1 else (),
         withheld=list_scored_training_images(dataset, scaled, arguments.split, scene)
         if arguments.hold_out
         else frozenset(),
@@ -172,6 +179,19 @@ def main(argv: Sequence[str]) -> int:
     else:
         _print(result, scene, arguments)
     return ExitCode.DONE
+
+
+def _named_devices(arguments: Arguments) -> list[str]:
+    """The devices that are asked for, as torch names them.
+
+    Raises:
+        UsageError: both options are given.
+    """
+    if arguments.devices is None:
+        return [arguments.device]
+    if arguments.device != AUTO:
+        raise UsageError("--device and --devices exclude each other", expected="one of them, or neither")
+    return [f"cuda:{name}" if name.isdecimal() else name for name in arguments.devices.split(",")]
 
 
 def _scene(dataset: Dataset, split: str, requested: str | None) -> str:

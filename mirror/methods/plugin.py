@@ -39,6 +39,7 @@ class ReconstructionTask:
         blocks: names of the blocks that this call trains, so that blocks can be distributed; empty: all.
         settings: settings of the method that replace its defaults, by name, as text.
         device: where a method with the capability `takes_device` computes, as torch names it.
+        devices: devices of one kind on which blocks are trained at the same time; empty: `device` only.
     """
 
     scene: str
@@ -54,6 +55,7 @@ class ReconstructionTask:
     blocks: frozenset[str] = field(default=frozenset())
     settings: Mapping[str, str] = field(default_factory=dict)
     device: str = CPU
+    devices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import pytest
 import torch
 
 import mirror
+from hybridworldsim.methods.device_shares import divide_blocks
 from hybridworldsim.methods.layers import layer_source, layers_for
 from hybridworldsim.model.blocks import Block, divide, select_views
 from hybridworldsim.trainable.training_image import TrainingImage
@@ -334,6 +335,37 @@ def test_blocks_are_shared_out(
         capsys, *reconstruct(dataset, shared, "--steps", 3, "--blocks", "block_9"), code=ExitCode.COULD_NOT_RUN
     )
     assert "no block block_9" in problem["problem"] and first in problem["expected"]
+
+
+def test_blocks_train_on_several_devices_as_on_one(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two processes on the CPU; the method of shorter blocks is in a file, and pickled by what it is made of."""
+    (tmp_path / "short.py").write_text(
+        "from dataclasses import replace\n"
+        "from hybridworldsim.methods.street import METHOD as STREET\n"
+        "METHOD = replace(STREET, block_m=16.0)\n"
+    )
+    method = ("--method", f"{tmp_path / 'short.py'}:METHOD", "--steps", 3)
+    one = said(capsys, *reconstruct(dataset, tmp_path / "one", *method))
+    words = list(map(str, reconstruct(dataset, tmp_path / "several", *method)))
+    if "--device" in words:
+        place = words.index("--device")
+        del words[place : place + 2]
+    several = said(capsys, *words, "--devices", "cpu,cpu")
+    assert len(one["blocks"]) > 1 and several["blocks"] == one["blocks"] and several["steps"] == one["steps"]
+    for name in one["blocks"]:
+        model = f"{name}/model.safetensors"
+        assert (tmp_path / "one" / model).read_bytes() == (tmp_path / "several" / model).read_bytes()
+    refused = said(capsys, *words, "--devices", "cpu,cpu", "--device", "cpu", code=ExitCode.COULD_NOT_RUN)
+    assert "exclude each other" in refused["problem"]
+
+
+def test_blocks_are_divided_by_their_images() -> None:
+    assert divide_blocks({"a": 5, "b": 4, "c": 3, "d": 1}, ("cuda:0", "cuda:1")) == [
+        ("cuda:0", frozenset("ad")), ("cuda:1", frozenset("bc"))
+    ]  # fmt: skip
+    assert divide_blocks({"a": 5}, ("cpu", "cpu")) == [("cpu", frozenset("a"))]
 
 
 def test_layers_from_held_out_images_are_not_used_by_default(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from hybridworldsim.methods.device_shares import train_shares
 from hybridworldsim.methods.estimates import TableSizes, describe_costs, estimate_task_bytes
 from hybridworldsim.methods.gpu_settings import describe_changes, size_factor
 from hybridworldsim.methods.overrides import override_settings, settings_document
@@ -103,6 +104,15 @@ class StaticMethod:
         scene = prepare_scene(dataset, task, self.block_m, reporter)
         if not (out / DOCUMENT).exists():
             write_json(out / DOCUMENT, document)
+        untrained = {
+            block.name: len(views)
+            for block, views in scene.blocks
+            if block.name in scene.selected and RunFolder(out / block.name, TrainingOutcome).outcome is None
+        }
+        if len(task.devices) > 1 and len(untrained) > 1 and read_reconstruction(out).done is None:
+            # The number of threads is part of a run.
+            apart = replace(task, threads=torch.get_num_threads())
+            train_shares(self, dataset, apart, out, untrained, reporter)
         result = _summarize(out, self._train_blocks(scene, task, out, reporter), scene)
         if not result.undone:
             write_costs(out, result)

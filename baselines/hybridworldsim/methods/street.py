@@ -262,13 +262,23 @@ def table_sizes(settings: Settings) -> TableSizes:
     )
 
 
-METHOD: Final = StreetMethod(NAME, make, lambda seed: Settings(seed=seed), sizes=table_sizes, scale=scale_street)
+def seeded(seed: int) -> Settings:
+    """Return the settings of the paper's method."""
+    return Settings(seed=seed)
+
+
+def seeded_structure(seed: int) -> Settings:
+    """Return the settings with a structure loss."""
+    return Settings(structure_weight=STRUCTURE_WEIGHT, seed=seed)
+
+
+METHOD: Final = StreetMethod(NAME, make, seeded, sizes=table_sizes, scale=scale_street)
 """The paper's three losses only; the depth error is a share of the depth."""
 
 STRUCTURE: Final = StreetMethod(
     f"{NAME}_structure",
     make,
-    lambda seed: Settings(structure_weight=STRUCTURE_WEIGHT, seed=seed),
+    seeded_structure,
     sizes=table_sizes,
     scale=scale_street,
 )

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 from typing import Final
 
 from hybridworldsim.methods.static import StaticMethod
 from mirror_baselines.omnire_style.settings import TUNED
 from mirror_baselines.omnire_style.trainer import make, make_empty
 from mirror_baselines.splatting.renderer import SplattingRenderer
-from mirror_baselines.splatting.scaling import scale_counts
+from mirror_baselines.splatting.scaling import scale_counts, with_seed
 from mirror_baselines.splatting.settings import table_sizes
 
 METHOD: Final = StaticMethod(
     "omnire_style",
     make,
-    lambda seed: replace(TUNED, seed=seed),
+    partial(with_seed, TUNED),
     sky=True,
     make_empty=make_empty,
     capabilities=SplattingRenderer.CAPABILITIES,

@@ -26,6 +26,11 @@ def scale_splatting(settings: _Settings, rates: float, sizes: float) -> _Setting
     )
 
 
+def with_seed(settings: _Settings, seed: int) -> _Settings:
+    """Return settings with another seed."""
+    return replace(settings, seed=seed)
+
+
 def scale_counts(settings: _Settings, factor: float) -> _Settings:
     """Multiply all numbers of Gaussians by a factor; initial points and grids are denser to match."""
     scaled, closer = scale_splatting(settings, 1.0, factor), factor**-0.5

@@ -1,0 +1,106 @@
+"""Blocks of a scene that train on several devices at the same time, in one process for each device."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.dataset import open as open_dataset
+from mirror.dataset.layers import LayerChoice
+from mirror.errors import DatasetError
+from mirror.methods.plugin import InstalledMethod, ReconstructionTask
+from mirror.pools import process_pool
+from mirror.progress import NullProgress, ProgressReporter
+
+
+@dataclass(frozen=True)
+class DeviceShare:
+    """The blocks that one process trains.
+
+    Attributes:
+        method: the method.
+        root: folder or address of the dataset.
+        layers: the layers that its views read.
+        task: the task, with its device and its blocks.
+        out: folder of the model.
+    """
+
+    method: InstalledMethod
+    root: str
+    layers: LayerChoice
+    task: ReconstructionTask
+    out: Path
+
+
+def divide_blocks(images: Mapping[str, int], devices: Sequence[str]) -> list[tuple[str, frozenset[str]]]:
+    """Divide blocks among devices so that each trains about as many images; a device without a block is left out.
+
+    Args:
+        images: number of images of each block, by its name.
+        devices: the devices; one may be named twice.
+    """
+    shares: list[list[str]] = [[] for _ in devices]
+    for name in sorted(images, key=lambda one: (-images[one], one)):
+        min(shares, key=lambda share: sum(images[one] for one in share)).append(name)
+    return [(device, frozenset(share)) for device, share in zip(devices, shares) if share]
+
+
+def train_shares(
+    method: InstalledMethod,
+    dataset: Dataset,
+    task: ReconstructionTask,
+    out: Path,
+    images: Mapping[str, int],
+    reporter: ProgressReporter,
+) -> None:
+    """Train blocks on the devices of a task at the same time; each ends as it does alone.
+
+    Args:
+        method: the method, which can be pickled.
+        dataset: the dataset; layers that the method estimates are complete.
+        task: the task, with `devices` and a number of threads.
+        out: folder of the model, with its document.
+        images: number of images of each block to train, by its name.
+        reporter: receives a message for each device that is done.
+
+    Raises:
+        DatasetError: a training failed or its process died; finished blocks and checkpoints stay.
+    """
+    shares = divide_blocks(images, task.devices)
+    reporter.message("; ".join(f"{device}: {', '.join(sorted(blocks))}" for device, blocks in shares))
+    try:
+        with process_pool(len(shares), _begin) as pool:
+            waiting = {
+                pool.submit(_train, _make_share(method, dataset, task, out, device, blocks)): device
+                for device, blocks in shares
+            }
+            while waiting:
+                ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in ready:
+                    future.result()
+                    reporter.message(f"{waiting.pop(future)}: done")
+    except BrokenProcessPool as error:
+        raise DatasetError(
+            "a process of a device died, for example because memory ran out", file=out,
+            remedy="run the same command again: it continues; fewer --devices need less memory",
+        ) from error  # fmt: skip
+
+
+def _make_share(
+    method: InstalledMethod, dataset: Dataset, task: ReconstructionTask, out: Path, device: str, blocks: frozenset[str]
+) -> DeviceShare:
+    own = replace(task, device=device, devices=(), blocks=blocks)
+    return DeviceShare(method, str(dataset.root), dataset.layers, own, out)
+
+
+def _begin() -> None:
+    """Begin a worker, which needs nothing."""
+
+
+def _train(share: DeviceShare) -> None:
+    dataset = open_dataset(share.root).with_layers(**asdict(share.layers))
+    share.method.reconstruct(dataset, share.task, share.out, NullProgress())

@@ -120,6 +120,9 @@ def test_other_workers_and_an_interruption_give_the_same_bytes(
     (torn / "run.json").unlink()
     (torn / ".driving").touch()
     (torn / "states.parquet").write_bytes(b"torn")
+    # The other one had ended, but its mark was still there; a document was not yet renamed.
+    (torn.with_name("cut-in-0") / ".driving").touch()
+    (tmp_path / "two" / ".suite.json.0a1b2c3d-77-0.tmp").touch()
     capsys.readouterr()
     assert simulate(folder, "Straight", tmp_path / "two", "--workers", "2", "--json") == ExitCode.DONE
     assert json.loads(capsys.readouterr().out)["reused"] == 1

@@ -16,7 +16,7 @@ from typing import Final
 from hybridworldsim.simulator.isolation.choice import PolicyChoice
 from hybridworldsim.simulator.renderers.protocol import rig_cameras
 from hybridworldsim.simulator.renderers.registry import RendererFactory
-from hybridworldsim.simulator.rollout.run import RolloutRequest, RolloutResult, run_rollout
+from hybridworldsim.simulator.rollout.run import RolloutRequest, RolloutResult, remove_mark, run_rollout
 from hybridworldsim.simulator.street.opening import open_street
 from hybridworldsim.simulator.street.street import Street
 from mirror.errors import DatasetError, UsageError
@@ -24,7 +24,7 @@ from mirror.pools import ProcessPool, process_pool
 from mirror.progress import ProgressReporter
 from mirror.protocols.document import Protocol
 from mirror.protocols.suite import Suite, SuiteDrive, SuiteStreet, list_drives
-from mirror.schema.files import read_json, write_json
+from mirror.schema.files import read_json, remove_temporaries, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.rollout import BY_POLICY, ROLLOUT, read_rollout
 from mirror.schema.suite_run import SUITE_FILE, SuiteRun
@@ -110,6 +110,9 @@ def drive_suite(
     _open_folder(run, out)
     left = [drive for drive in drives if not (out / drive.folder / ROLLOUT).is_file()]
     reused = len(drives) - len(left)
+    unfinished = {drive.folder for drive in left}
+    for folder in (drive.folder for drive in drives if drive.folder not in unfinished):
+        remove_mark(out / folder)
     reporter.start("drives", len(left))
     failed: dict[str, str] = {}
     if left:
@@ -128,6 +131,9 @@ def drive_suite(
 
 def _open_folder(run: SuiteRun, out: Path) -> None:
     require_output_folder(out, FolderKind.SUITE)
+    if out.is_dir():
+        # What a killed command left.
+        remove_temporaries(out)
     file = out / SUITE_FILE
     if not file.is_file():
         write_json(file, run)

@@ -130,6 +130,11 @@ def require_new_rollout(out: Path) -> FolderKind | None:
     return kind
 
 
+def remove_mark(out: Path) -> None:
+    """Remove the mark of a running drive from a complete rollout, whose command was killed before it did so."""
+    (out / _DRIVING).unlink(missing_ok=True)
+
+
 def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter | None = None) -> RolloutResult:
     """Drive a rollout and write its folder.
 

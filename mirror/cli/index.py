@@ -13,7 +13,6 @@ from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
 _EXAMPLES = (
-    "mirror index demo/dataset",
     "mirror index demo/dataset --compact",
     "mirror index demo/dataset --force --json",
 )

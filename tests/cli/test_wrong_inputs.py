@@ -460,6 +460,7 @@ def test_what_is_expected_becomes_a_remedy(folder: Path, error: MirrorError, wor
 
 
 def test_a_damaged_dataset_is_checked(tiny_dataset: Dataset) -> None:
-    error = SchemaError("a null", file=f"{tiny_dataset.root}/index/scenes.parquet", place="row 3")
+    (scenes,) = Path(str(tiny_dataset.root), "index").rglob("scenes.parquet")
+    error = SchemaError("a null", file=scenes, place="row 3")
     complete_remedy(error, "mirror stats")
     assert error.remedy == f"`mirror check {tiny_dataset.root}` lists what is damaged in the dataset"

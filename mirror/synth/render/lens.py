@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -12,7 +11,7 @@ import numpy as np
 from mirror.arrays import Float64, Int32, Int64
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
-from mirror.portable import arrays
+from mirror.portable import arrays, scalars
 from mirror.synth.render.develop.motion import ImageJacobian, compute_image_jacobian
 
 TILE_PX: Final = 8
@@ -132,7 +131,7 @@ def make_cells(tiles: Float64) -> tuple[Int64, Int32, float]:
         axes.append((grid / np.linalg.norm(grid, axis=2, keepdims=True)).reshape(-1, 3))
     # No direction of a cell is farther from its middle than its corners, at most this far on the plane of its face.
     half = 1.5 / side
-    reach = half + arrays.arcsin(tiles[:, 4]) + math.asin(small)
+    reach = half + arrays.arcsin(tiles[:, 4]) + scalars.asin(small)
     touches = np.einsum("ci,ti->ct", np.concatenate(axes), tiles[:, :3]) >= arrays.cos(reach)
     begins = np.concatenate([[0], np.cumsum(touches.sum(axis=1))]).astype(np.int64)
     return begins, np.nonzero(touches)[1].astype(np.int32), small

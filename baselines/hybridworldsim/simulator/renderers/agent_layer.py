@@ -21,19 +21,19 @@ from mirror.schema.documents import Roi
 from mirror.synth import (
     MARK,
     SKY,
+    CameraResponse,
     Condition,
     Effects,
     Instant,
     Model,
     RasterizedView,
     Scene,
-    TrainedResponse,
     develop,
     rasterize_view,
 )
 
 _EFFECTS: Final = replace(Effects(), exposure=False, noise=False, vignetting=False, bloom=False, motion_blur=False)
-_RESPONSE: Final = TrainedResponse()
+_RESPONSE: Final = CameraResponse()
 
 
 @dataclass(frozen=True, eq=False)

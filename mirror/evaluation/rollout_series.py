@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.metrics.safety import StateLog, drivable_area_compliance, time_to_collision
+from mirror.evaluation.drive_curves import DriveCurve, contact_curve, margin_curve, speed_curve
+from mirror.metrics.safety import StateLog
 from mirror.pages.rendering import render_part
 from mirror.schema.road_map import RoadMap
 
@@ -17,27 +18,19 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 320.0
 _HEIGHT: Final = 44.0
-_LONGEST_S: Final = 10.0
-"""A contact farther in the future than this is not drawn."""
 
 
 def draw_series(log: StateLog, road_map: RoadMap) -> Markup:
     """Draw the ego's speed, its least time to collision and its margin to the road's edge over time."""
-    speed = np.hypot(log.vx_mps[:, 0], log.vy_mps[:, 0])
-    least = time_to_collision(log).min(axis=1)
-    margin = drivable_area_compliance(log, road_map.drivable_rings).margin_m
-    series = (
-        ("speed", "m/s", speed, 0.0),
-        ("time to collision", "s", np.where(least <= _LONGEST_S, least, np.nan), 0.0),
-        ("margin to the road's edge", "m", np.asarray(margin, np.float64), 0.0),
-    )
-    rows = [_draw_row(name, unit, values, level, log.times_s) for name, unit, values, level in series]
+    curves = speed_curve(log), contact_curve(log), margin_curve(log, road_map)
+    rows = [_draw_row(curve, 0.0, log.times_s) for curve in curves]
     return render_part(
         "mirror.evaluation", "series.html", "series", f"{_WIDTH:g}", f"{_HEIGHT:g}", rows, f"{log.times_s[-1]:.1f}"
     )
 
 
-def _draw_row(name: str, unit: str, values: Float64, level: float, times_s: Float64) -> dict[str, object]:
+def _draw_row(curve: DriveCurve, level: float, times_s: Float64) -> dict[str, object]:
+    values = curve.values
     finite = values[np.isfinite(values)]
     low, high = min(level, finite.min(initial=level)), max(level, finite.max(initial=level))
     span = max(high - low, 1e-9)
@@ -50,8 +43,8 @@ def _draw_row(name: str, unit: str, values: Float64, level: float, times_s: Floa
         " ".join(f"{x[row]:.1f},{place(float(values[row])):.1f}" for row in part)
         for part in _split(np.flatnonzero(np.isfinite(values)))
     ]
-    words = f"{finite.min():.1f} to {finite.max():.1f} {unit}" if len(finite) else "none"
-    return {"name": name, "words": words, "lines": lines, "level": f"{place(level):.1f}"}
+    words = f"{finite.min():.1f} to {finite.max():.1f} {curve.unit}" if len(finite) else "none"
+    return {"name": curve.title, "words": words, "lines": lines, "level": f"{place(level):.1f}"}
 
 
 def _split(rows: Sequence[int] | np.ndarray) -> list[np.ndarray]:

@@ -168,7 +168,7 @@ def test_the_report_leads_with_the_best_median_and_worst_rollouts(runs: Path, tm
     assert scores == sorted(scores, reverse=True) and scores[0] > scores[-1]
     # The two worst ones have three series each below the view from above.
     assert page.count("<svg") == 6 + 2 * 3 and page.count("<circle") == 2
-    assert page.count("<animate ") >= 2 and "time to collision: " in page and "<script" not in page
+    assert page.count("<animate ") >= 2 and "Time to collision: " in page and "<script" not in page
     assert page.rindex("<svg") < page.index("<h2>Figures</h2>") < page.index("<h2>Rollouts</h2>")
     assert "12</b><span>rollouts of 6 scenarios" in page and "2</b><span>with a collision" in page
     assert "By scenario" in page and "http" not in page.replace("http-equiv", "")

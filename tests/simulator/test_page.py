@@ -15,9 +15,9 @@ from shapely import LineString, Polygon, box
 from shapely.affinity import rotate, translate
 
 from hybridworldsim.simulator.policies.references import LaneKeeping
-from hybridworldsim.simulator.rollout.curves import DriveCurve, measure_gap
 from hybridworldsim.simulator.rollout.page import DrivePageContent, list_events, write_page
 from hybridworldsim.simulator.rollout.run import run_rollout
+from mirror.evaluation.drive_curves import DriveCurve, measure_gap
 from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.safety import StateLog, read_state_log
 from mirror.metrics.safety.collisions import Collision, CollisionKind

@@ -1,41 +1,15 @@
-"""Curves of a drive over its time: motion, controls, and the distances to road users and to the road's edge."""
+"""Curves of a drive in the simulator: those of its states, and those that only the vehicle knows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from hybridworldsim.simulator.ego.vehicle import EgoState
-from mirror.arrays import Float64
-from mirror.metrics.safety import StateLog, drivable_area_compliance, time_to_collision
+from mirror.evaluation.drive_curves import DriveCurve, contact_curve, gap_curve, margin_curve
+from mirror.metrics.safety import StateLog
 from mirror.schema.road_map import RoadMap
-
-FARTHEST_M: Final = 100.0
-"""A road user farther ahead than this leaves no gap."""
-LONGEST_S: Final = 10.0
-"""A contact farther in the future than this is not drawn."""
-
-
-@dataclass(frozen=True, eq=False)
-class DriveCurve:
-    """A quantity at every state of a drive.
-
-    Attributes:
-        title: its name.
-        unit: its unit.
-        about: its definition in words.
-        values: (T,) values; NaN: there is none at this state.
-        digits: number of decimal places in which it is shown.
-    """
-
-    title: str
-    unit: str
-    about: str
-    values: Float64
-    digits: int = 1
 
 
 def list_curves(log: StateLog, egos: Sequence[EgoState], road_map: RoadMap) -> list[DriveCurve]:
@@ -46,74 +20,13 @@ def list_curves(log: StateLog, egos: Sequence[EgoState], road_map: RoadMap) -> l
         egos: the T states of the ego, with its acceleration and its steering.
         road_map: the map, in the frame of the log.
     """
-    times_to_collision = time_to_collision(log).min(axis=1)
-    margin = drivable_area_compliance(log, road_map.drivable_rings).margin_m
+    speeds, accelerations = ([getattr(ego, name) for ego in egos] for name in ("speed_mps", "acceleration_mps2"))
+    steering = np.degrees([ego.steering_rad for ego in egos])
     return [
-        DriveCurve("Speed", "m/s", "forward, of the rear axle", np.array([ego.speed_mps for ego in egos])),
-        DriveCurve(
-            "Acceleration",
-            "m/s²",
-            "forward; negative: braking",
-            np.array([ego.acceleration_mps2 for ego in egos]),
-            2,
-        ),
-        DriveCurve(
-            "Steering",
-            "°",
-            "angle of the front wheels; positive: to the left",
-            np.degrees([ego.steering_rad for ego in egos]),
-        ),
-        DriveCurve(
-            "Gap",
-            "m",
-            f"from the front bumper to the next road user straight ahead, within the ego's width and {FARTHEST_M:g} m",
-            measure_gap(log),
-        ),
-        DriveCurve(
-            "Time to collision",
-            "s",
-            f"until the ego touches a road user if all keep their velocities, up to {LONGEST_S:g} s",
-            np.where(times_to_collision <= LONGEST_S, times_to_collision, np.nan),
-        ),
-        DriveCurve(
-            "Margin to the road's edge", "m", "of the worst corner of the ego; negative: off the road", margin, 2
-        ),
+        DriveCurve("Speed", "m/s", "forward, of the rear axle", np.array(speeds)),
+        DriveCurve("Acceleration", "m/s²", "forward; negative: braking", np.array(accelerations), 2),
+        DriveCurve("Steering", "°", "angle of the front wheels; positive: to the left", steering),
+        gap_curve(log),
+        contact_curve(log),
+        margin_curve(log, road_map),
     ]
-
-
-def measure_gap(log: StateLog, *, farthest_m: float = FARTHEST_M) -> Float64:
-    """Measure the free way ahead of the ego at each state.
-
-    It is the distance along the heading from the front of the ego's box to the nearest part of another box that lies
-    in the strip which the ego's width sweeps straight ahead; 0 where such a part lies beside the ego's front or behind
-    it and the box reaches beyond the front.
-
-    Args:
-        log: states.
-        farthest_m: parts beyond this distance do not count.
-
-    Returns:
-        (T,) metres; NaN where the strip is free.
-    """
-    half_length, half_width = 0.5 * log.length_m[0], 0.5 * log.width_m[0]
-    cos, sin = np.cos(log.yaw_rad[:, :1]), np.sin(log.yaw_rad[:, :1])
-    dx, dy = log.x_m[:, 1:] - log.x_m[:, :1], log.y_m[:, 1:] - log.y_m[:, :1]
-    centre = np.stack([dx * cos + dy * sin, dy * cos - dx * sin], axis=-1)
-    turn = log.yaw_rad[:, 1:] - log.yaw_rad[:, :1]
-    ahead = 0.5 * log.length_m[1:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    left = 0.5 * log.width_m[1:, None] * np.stack([-np.sin(turn), np.cos(turn)], axis=-1)
-    # (4, T, N - 1, 2) corners, in order around each box.
-    corners = np.stack([centre + ahead + left, centre + ahead - left, centre - ahead - left, centre - ahead + left])
-    step = np.roll(corners, -1, axis=0) - corners
-    x, y = corners[..., 0], corners[..., 1]
-    along = [np.where(np.abs(y) <= half_width, x, np.nan)]
-    for side in (-half_width, half_width):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = (side - y) / step[..., 1]
-            along.append(np.where((share >= 0.0) & (share <= 1.0), x + share * step[..., 0], np.nan))
-    inside = np.concatenate(along) - half_length
-    nearest = np.min(np.where(np.isnan(inside), np.inf, inside), axis=0)
-    is_ahead = np.max(np.where(np.isnan(inside), -np.inf, inside), axis=0) > 0.0
-    gaps = np.where(is_ahead & log.present[:, 1:], np.maximum(nearest, 0.0), np.inf)
-    gap = np.min(gaps, axis=1, initial=np.inf)
-    return np.where(gap <= farthest_m, gap, np.nan)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from hybridworldsim.simulator.rollout.curves import DriveCurve
+from mirror.evaluation.drive_curves import DriveCurve
 from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.safety.report import SafetyFigure, SafetyReport
 from mirror.pages.images import inline_video

@@ -602,8 +602,8 @@ def test_held_out_frames_of_training_traversals_are_not_trained_on(
 def test_protocol_with_distorted_images_is_refused_before_layers_are_made(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def distorted(*asked: Any) -> Plan:
-        plan = plan_views(*asked)
+    def distorted(*asked: Any, **more: Any) -> Plan:
+        plan = plan_views(*asked, **more)
         lens = {"model": "kannala_brandt", "distortion": (0.1, 0.0, 0.0, 0.0)}
         return replace(plan, views=tuple(view.model_copy(update=lens) for view in plan.views))
 

@@ -84,7 +84,7 @@ def test_a_recording_states_the_shutters_and_widens_exposures(tmp_path: Path) ->
         out, "tiny", traversals=1, readouts=parse_readouts("front_wide=top_to_bottom:30,rear=left_to_right:12.5"),
         truth=("depth", "flow"), workers=2,
     )  # fmt: skip
-    recording = next(path for path in out.iterdir() if (path / "recording.json").is_file())
+    recording = next(path for path in out.iterdir() if (path / "calibrations").is_dir())
     calibrations = json.loads((recording / "calibrations" / "factory.json").read_text())
     stated = {row["camera"]: (row["shutter_direction"], row["readout_ns"]) for row in calibrations}
     assert stated["front_wide"] == ("top_to_bottom", 30_000_000)

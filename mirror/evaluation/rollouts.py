@@ -6,7 +6,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 import pyarrow as pa
@@ -99,6 +99,12 @@ def evaluate_rollouts(
     return RolloutEvaluation(result, tuple(scored))
 
 
+def _method_name(policy: str) -> str:
+    """The name of a policy in results: without the folder of its file."""
+    file, separator, member = policy.partition(".py:")
+    return f"{PurePath(file).name}{separator}{member}" if separator else policy
+
+
 def make_result(scored: Sequence[ScoredRollout], protocol: Protocol) -> Result:
     """Make the result of scored rollouts of one policy in one world."""
     identity, policy = _identify(scored), scored[0].rollout
@@ -108,7 +114,7 @@ def make_result(scored: Sequence[ScoredRollout], protocol: Protocol) -> Result:
         split=identity.split,
         dataset_hash=identity.dataset_hash,
         plan_hash=identity.plan_hash,
-        method=SubmittedMethod(name=policy.policy, version=(policy.policy_hash or "1")[:12]),
+        method=SubmittedMethod(name=_method_name(policy.policy), version=(policy.policy_hash or "1")[:12]),
         appearance=Appearance(policy="none"),
     )
     return Result(

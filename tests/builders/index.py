@@ -6,7 +6,9 @@ import hashlib
 import json
 from pathlib import Path
 
+import mirror
 from mirror.schema.files import write_bytes
+from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL, ROW_GROUPS
 
 
 def newest_snapshot(root: Path) -> Path:
@@ -41,3 +43,10 @@ def tamper(root: Path, change: dict[str, bytes]) -> None:
 def sha256(data: bytes) -> str:
     """SHA-256 in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
+
+
+def tables_of(root: Path) -> dict[str, list[dict[str, object]]]:
+    """All rows that a reader sees, by table; row groups have numbers by file."""
+    dataset = mirror.open(root)
+    tables = [table for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE) if table is not ROW_GROUPS]
+    return {table.name: dataset.table(table.name).to_pylist() for table in tables}

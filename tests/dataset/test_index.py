@@ -19,10 +19,10 @@ from mirror.dataset.index import build_index
 from mirror.errors import DatasetError, SchemaError
 from mirror.geometry.geodesy import TangentFrame
 from mirror.schema.files import read_table, write_table
-from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL, ROW_GROUPS
+from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.tables import BOXES, IMAGES, MASKS
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, mask_row, write_reconstruction
-from tests.builders.index import segment_folder, segment_names
+from tests.builders.index import segment_folder, segment_names, tables_of
 from tests.interruption import interrupt_before
 
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -46,13 +46,6 @@ def index_bytes(root: Path) -> dict[str, bytes]:
     """The files of the only segment of the newest snapshot."""
     index = segment_folder(root)
     return {str(path.relative_to(index)): path.read_bytes() for path in sorted(index.rglob("*")) if path.is_file()}
-
-
-def tables_of(root: Path) -> dict[str, list[dict[str, object]]]:
-    """All rows that a reader sees, by table; row groups have numbers by file."""
-    dataset = mirror.open(root)
-    tables = [table for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE) if table is not ROW_GROUPS]
-    return {table.name: dataset.table(table.name).to_pylist() for table in tables}
 
 
 def test_every_table_follows_its_specification(tmp_path: Path) -> None:

@@ -20,8 +20,7 @@ from mirror.integrity import check
 from mirror.schema.version import DATASET_VERSION
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 from tests.builders.folder import compact_tree, tree
-from tests.builders.index import segment_folder, segment_names
-from tests.dataset.test_index import tables_of
+from tests.builders.index import segment_folder, segment_names, tables_of
 from tests.golden.half_done import unpack
 
 STEP = 50 * SECOND

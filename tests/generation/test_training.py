@@ -242,7 +242,7 @@ def test_unfit_clips_are_named_before_an_autoencoder_is_trained(
 
 def test_exhausted_memory_is_named(clips: Path, trained: Path, tmp_path: Path) -> None:
     """A layer of more than 280 TB: no processor has the addresses for it."""
-    huge = replace(NETWORK, head_channels=1 << 40)
+    huge = replace(NETWORK, head_channels=1 << 27)
     options = replace(
         OPTIONS,
         settings=replace(OPTIONS.settings, network=huge),

@@ -24,7 +24,7 @@ from mirror_leaderboard.boards import make_boards
 from mirror_leaderboard.entry import Measured, load_entries
 from mirror_leaderboard.refused import RefusedError
 from mirror_leaderboard.rescore import Sources, SuitePlan
-from mirror_leaderboard.site.tables import _list_variant
+from mirror_leaderboard.site.tables import list_variant
 
 SECRET = b"7d" * 32
 POLICY = """
@@ -104,7 +104,7 @@ def test_all_drives_are_driven_again_with_the_ones_that_the_policy_ended(folder:
     entry = submit(result, folder / "runs", tmp_path / "board", plan=SuitePlan())
     assert entry.verified and entry.policy_run is None
     (board,) = make_boards([entry])
-    assert list(_list_variant(entry, board)) == ["states verified"]
+    assert list(list_variant(entry, board)) == ["states verified"]
     # One metre more at one instant of one drive.
     runs = tmp_path / "forged"
     shutil.copytree(folder / "runs", runs)
@@ -137,7 +137,7 @@ def test_the_organisers_badge_takes_a_policy_that_ran_apart(folder: Path, tmp_pa
     entry = submit(result, runs, tmp_path / "board", plan=SuitePlan(), ran_here=True)
     assert entry.verified and entry.policy_run == "sandbox"
     (board,) = make_boards([entry])
-    assert list(_list_variant(entry, board)) == ["states verified", "policy run by the organiser (sandbox)"]
+    assert list(list_variant(entry, board)) == ["states verified", "policy run by the organiser (sandbox)"]
 
 
 def test_a_test_split_takes_no_policy_in_the_simulators_process(folder: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from mirror.errors import UsageError
 from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_exp, quaternion_from_matrix, slerp
 from tests.rasterizer.projections import Inputs, distance, leaves, options, random_gaussians
 from tests.rasterizer.scenes import both_backends, scene
-from tests.rasterizer.test_unscented import HEIGHT, LENSES, WIDTH, K
+from tests.rasterizer.unscented_cameras import HEIGHT, LENSES, WIDTH, K
 
 FAR = torch.eye(4).repeat(2, 1, 1)
 FAR[:, 0, 3] = 500.0

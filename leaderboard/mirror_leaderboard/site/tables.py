@@ -198,7 +198,7 @@ def _arrange_row(
         entry=entry,
         file=entry_file(entry),
         is_floor=entry.method in (*FLOOR, *FLOOR_OF_EDITS),
-        details=", ".join(_list_variant(entry, board)),
+        details=", ".join(list_variant(entry, board)),
         marks=_number_notes([*entry.notes, *metric_notes], notes),
         rank=rank,
         rank_marks=[] if rank is None or rank.reason is None else _number_notes([rank.reason], notes),
@@ -206,7 +206,7 @@ def _arrange_row(
     )
 
 
-def _list_variant(entry: Entry, board: Board) -> Iterator[str]:
+def list_variant(entry: Entry, board: Board) -> Iterator[str]:
     """List what tells the row from others of its method: the version if another is on the board, the setting."""
     others = {other.version for other in board.entries if isinstance(other, Measured) and other.method == entry.method}
     if isinstance(entry, Measured) and len(others) > 1:

@@ -18,7 +18,7 @@ import mirror
 from mirror.dataset.index import append_drives, build_index
 from mirror.dataset.layout import complete_manifest, is_intact
 from mirror.dataset.store import Store
-from mirror.errors import ExitCode
+from mirror.errors import DatasetError, ExitCode
 from mirror.ingest.drive import are_traversals_intact
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 
@@ -60,8 +60,9 @@ def _measure(root: Path, traversals: int) -> dict[str, float]:
     for drive_id in drives:
         # As `mirror ingest` does for a drive whose recording has not changed.
         folder = builder.layout.drive(drive_id)
-        assert is_intact(folder) and complete_manifest(folder) is not None  # noqa: S101 - a benchmark
-        are_traversals_intact(builder.layout, drive_id)
+        is_unchanged = is_intact(folder) and complete_manifest(folder) is not None
+        if not (is_unchanged and are_traversals_intact(builder.layout, drive_id)):
+            raise DatasetError("the drive is not as it was written", file=folder)
     unchanged_s = (time.process_time() - start) / len(drives)
     return {
         "append a drive, CPU-ms": 1e3 * append_s,

@@ -51,11 +51,11 @@ def measure_step(machine: Machine) -> dict[str, float]:
         calls.append((args, options))
         return called(*args, **options)
 
-    watch = Stopwatch(machine)
+    stopwatch = Stopwatch(machine)
     adam = LazyAdam if isinstance(trainer._tables[0], LazyAdam) else DenseAdam
     setattr(street_module, _RASTERIZE, recorded)
     try:
-        with watch.watching(
+        with stopwatch.watching(
             {
                 "decoding": (StreetModel, "decode"),
                 "rasterizer, forward": (street_module, _RASTERIZE),
@@ -69,7 +69,7 @@ def measure_step(machine: Machine) -> dict[str, float]:
                 step()
     finally:
         setattr(street_module, _RASTERIZE, called)
-    parts = {f"- {name}": total / _TIMED for name, total in watch.total_ms.items()}
+    parts = {f"- {name}": total / _TIMED for name, total in stopwatch.total_ms.items()}
     alone_ms = _rasterizer_alone_ms(machine, *calls[-1])
     return {
         "a training step, 960x540": total_ms,

@@ -42,7 +42,7 @@ class PosesArguments:
     scale: Annotated[
         Literal["track", "rig", "height", "length"] | None, help_text(default="the first that there is", metavar="FROM")
     ] = None
-    """Where scale and world come from: track (fixes), rig (distances of cameras), height (of the camera), length."""
+    """Source of scale and world: track (fixes), rig (distances of cameras), height (of the camera), length."""
     camera_height_m: Annotated[float | None, help_text(default="recorded", metavar="METRES")] = None
     """Height of the camera above the road."""
     length_m: Annotated[float | None, help_text(default="none", metavar="METRES")] = None

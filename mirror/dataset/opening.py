@@ -1,4 +1,4 @@
-"""What is read before any table: the dataset's document and a snapshot of its index; and whether that is stale."""
+"""Reads the dataset's document and a snapshot of its index before any table, and tells whether that is stale."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a run writes what it makes: a folder of its own, from which whole drives get into the dataset at the end.
+"""The folder in which a run makes drives, from which they get into the dataset, each whole, at the end.
 
 Until then nobody reads it, so that a reader of the dataset, a failed recording and a killed run leave the dataset as it
 was. What is complete in the folder of a run that is dead is taken over by the next one.

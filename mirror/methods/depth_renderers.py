@@ -1,4 +1,4 @@
-"""What a method's renderers have if its `Capabilities` state it: depth, covers before a depth, exposure."""
+"""The functions of renderers that a method's `Capabilities` state: depth, covers before a depth, exposure."""
 
 from __future__ import annotations
 

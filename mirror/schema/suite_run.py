@@ -11,7 +11,7 @@ from mirror.schema.documents import Document
 SUITE_FILE: Final = "suite.json"
 
 Isolation = Literal["sandbox", "container"]
-"""How a policy is kept apart from the machine that drives it."""
+"""The isolation of a policy from the machine that drives it."""
 
 
 class SuiteRun(Document):

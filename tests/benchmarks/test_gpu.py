@@ -45,12 +45,12 @@ def test_a_machine_scales_counts_and_pixels() -> None:
 
 
 def test_a_stopwatch_measures_functions_and_gives_them_back() -> None:
-    watch, before = Stopwatch(TINY), torch.add
-    with watch.watching({"sum": (torch, "add")}):
+    stopwatch, before = Stopwatch(TINY), torch.add
+    with stopwatch.watching({"sum": (torch, "add")}):
         assert float(torch.add(torch.ones(()), torch.ones(()))) == 2.0
         with pytest.raises(TypeError):
             torch.add()  # type: ignore[call-overload]
-    assert torch.add is before and watch.total_ms["sum"] > 0.0
+    assert torch.add is before and stopwatch.total_ms["sum"] > 0.0
 
 
 @pytest.mark.usefixtures("hurried")

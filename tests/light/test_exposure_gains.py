@@ -5,9 +5,7 @@ import pytest
 import torch
 
 from hybridworldsim.light.exposure_gains import ExposureGains, estimate_log_gain
-from hybridworldsim.light.recorded_light import require_gains
 from hybridworldsim.light.trained_response import TrainedResponse
-from mirror.errors import UsageError
 
 
 @pytest.mark.parametrize("gain", [0.25, 0.7, 1.0, 1.9, 4.0])
@@ -46,15 +44,6 @@ def test_gains_of_a_group_have_the_mean_zero_and_converge() -> None:
     assert sum(gains.log_gain(name, "drive/front") for name in true) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_recorded_gain_is_kept_against_wrong_estimates() -> None:
-    gains = ExposureGains({"a": 0.4, "b": -0.4})
-    assert gains.log_gain("a", "g") == 0.4
-    for _ in range(20):
-        gains.update("a", "g", -0.2)
-        gains.update("b", "g", 0.1)
-    assert gains.log_gain("a", "g") - gains.log_gain("b", "g") == pytest.approx(0.8, abs=0.15)
-
-
 def test_impossible_estimates_are_ignored() -> None:
     gains = ExposureGains()
     for wrong in (float("nan"), float("inf"), 30.0):
@@ -73,10 +62,3 @@ def test_stored_gains_are_restored() -> None:
     empty = ExposureGains()
     empty.restore(ExposureGains().state())
     assert len(empty) == 0
-
-
-@pytest.mark.parametrize("gain", [0.0, -1.0, 1.0001e4, float("nan")])
-def test_a_recorded_gain_that_no_camera_has_is_named(gain: float) -> None:
-    with pytest.raises(UsageError, match="image-7"):
-        require_gains({"image-6": 2.0, "image-7": gain})
-    assert require_gains({"a": 1.0, "b": 4.0, "c": None}) == pytest.approx({"a": -np.log(2.0), "b": np.log(2.0)})

@@ -14,8 +14,7 @@ _BRIGHT: Final = 0.95
 _LEAST_PIXELS: Final = 64
 _MOST: Final = math.log(1e4)
 _SHARE: Final = 0.5
-_RECORDED_SHARE: Final = 0.1
-"""How far an estimate moves the gain of an image, without and with a recorded gain."""
+"""Share of the way to a new estimate that the gain of an image moves."""
 
 
 def estimate_log_gain(image: Tensor, rendered: Tensor, light: Tensor, exposed: Tensor, scored: Tensor) -> float | None:
@@ -41,13 +40,9 @@ class ExposureGains:
     """The logarithms of the gains of training images; their mean over the images of a group is zero.
 
     A group is a traversal and a camera: the mean brightness of its images belongs to their appearance.
-
-    Args:
-        recorded: logarithms of recorded gains by name of the image, relative to the mean of the image's group.
     """
 
-    def __init__(self, recorded: Mapping[str, float] | None = None) -> None:
-        self._recorded = dict(recorded or {})
+    def __init__(self) -> None:
         self._values: dict[str, float] = {}
         self._groups: dict[str, str] = {}
 
@@ -55,10 +50,8 @@ class ExposureGains:
         return len(self._values)
 
     def log_gain(self, name: str, group: str) -> float:
-        """Return the logarithm of an image's gain; of an image without an estimate, the recorded one, else 0."""
-        if name not in self._values:
-            return self._recorded.get(name, 0.0)
-        return self._values[name] - self._mean(group)
+        """Return the logarithm of an image's gain; 0 of an image without an estimate."""
+        return self._values[name] - self._mean(group) if name in self._values else 0.0
 
     def update(self, name: str, group: str, estimate: float) -> None:
         """Move the gain of an image towards an estimate; an estimate that no camera has (above 10,000) is ignored.
@@ -70,12 +63,8 @@ class ExposureGains:
         """
         if not abs(estimate) < _MOST:
             return
-        if name in self._recorded:
-            value = self._recorded[name] + _RECORDED_SHARE * (estimate - self._recorded[name])
-        elif name in self._values:
-            value = self._values[name] + _SHARE * (estimate - self._values[name])
-        else:
-            value = estimate
+        before = self._values.get(name, estimate)
+        value = before + _SHARE * (estimate - before)
         self._values[name], self._groups[name] = value, group
 
     def state(self) -> dict[str, Tensor]:

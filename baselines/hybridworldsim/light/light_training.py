@@ -31,8 +31,7 @@ class LightTraining:
 
     def __init__(self, light: RecordedLight) -> None:
         self.light = light
-        recorded = {name: gain for camera in light.recorded.values() for name, gain in camera.log_gains.items()}
-        self._gains = ExposureGains(recorded)
+        self._gains = ExposureGains()
         self._seen: dict[str, tuple[str, Float64]] = {}
         self._noise: dict[str, NoiseSamples] = {}
 

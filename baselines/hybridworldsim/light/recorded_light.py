@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import torch
@@ -22,7 +22,6 @@ from hybridworldsim.light.sensor_noise import SensorNoise
 from hybridworldsim.light.trained_response import TrainedResponse
 from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror.arrays import Float64
-from mirror.errors import UsageError
 
 DAY: Final = "day"
 DARK: Final = ("dusk", "night")
@@ -37,13 +36,11 @@ class RecordedCamera:
         source: traversal and camera.
         light: light of the traversal.
         ego_SE3_camera: (4, 4) mounting of the camera on the vehicle.
-        log_gains: logarithms of the recorded gains by name of the image, relative to their mean; empty: not recorded.
     """
 
     source: Source
     light: str
     ego_SE3_camera: Float64
-    log_gains: Mapping[str, float] = field(default_factory=dict)
 
 
 class LightDocument(BaseModel):
@@ -157,20 +154,3 @@ def light_from(document: LightDocument) -> RecordedLight:
     light.noise = {group: SensorNoise(tuple(numbers)) for group, numbers in document.noise.items()}
     light.width_px = document.width_px
     return light
-
-
-def require_gains(gains: Mapping[str, Any]) -> dict[str, float]:
-    """Return the logarithms of recorded gains by name, relative to their mean; gains that are not known are left out.
-
-    Raises:
-        UsageError: a gain is not between 0 and 10,000.
-    """
-    known = {name: float(gain) for name, gain in gains.items() if gain is not None}
-    for name, gain in known.items():
-        if not 0.0 < gain <= 1e4:
-            raise UsageError(
-                f"a recorded gain of {gain:g}", place=name, expected="a number above 0, at most 10,000",
-                remedy="correct the gain in the recording, or leave it empty where it is not known",
-            )  # fmt: skip
-    mean = sum(map(np.log, known.values())) / max(len(known), 1)
-    return {name: float(np.log(gain) - mean) for name, gain in known.items()}

@@ -23,7 +23,7 @@ from hybridworldsim.model.lamps import Lamps
 from hybridworldsim.model.ply_export import export_gaussians, psnr_to_model_db, write_ply
 from hybridworldsim.model.settings import LightSettings, Settings
 from hybridworldsim.model.storage import load_block, save_block
-from hybridworldsim.model.street import StreetModel
+from hybridworldsim.model.street import StreetModel, StreetOutput
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.trainable.method import Rendering, TrainableMethod
@@ -150,7 +150,7 @@ class StreetRenderer:
 
     def render(self, view: RenderView) -> Rendering:
         """Render a view with its depth."""
-        rendering, _ = self.render_unexposed(view, None)
+        rendering, _ = self._draw(view)
         return replace(rendering, rgb=self.expose(view, rendering.rgb))
 
     def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
@@ -160,18 +160,16 @@ class StreetRenderer:
             view: the view.
             limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
         """
-        rendering, before = self._render_unexposed(view, limit_m)
-        return replace(rendering, rgb=self.expose(view, rendering.rgb)), before
+        rendering, output = self._draw(view)
+        return replace(rendering, rgb=self.expose(view, rendering.rgb)), _covers(output, limit_m)
 
     def render_unexposed(self, view: RenderView, limit_m: Float32 | None) -> tuple[Rendering, Tensor | None]:
         """Render a view at the mean exposure of its appearance.
 
         See `mirror.methods.depth_renderers.ExposingRenderer`.
         """
-        if limit_m is not None:
-            return self._render_unexposed(view, limit_m)
-        output, counts = self._composition.render(view, self.latents(view), self._lamps(view))
-        return Rendering(output.rgb, output.alpha, output.depth_m, counts), None
+        rendering, output = self._draw(view)
+        return rendering, None if limit_m is None else _covers(output, limit_m)
 
     def expose(self, view: RenderView, colours: Tensor, noise_seed: int | None = None) -> Tensor:
         """Return the image (H, W, 3) that a view's camera takes of unexposed colours; see `ExposingRenderer`."""
@@ -200,14 +198,12 @@ class StreetRenderer:
         if street.light is None:
             return None
         light, source = street.light, self._source(street, view)
-        colours = self.render_unexposed(view, None)[0].rgb
+        colours = self._draw(view)[0].rgb
         return colours, light.log_gain(colours, source), lambda image, gain: light.response(image, source.camera, gain)
 
-    def _render_unexposed(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
+    def _draw(self, view: RenderView) -> tuple[Rendering, StreetOutput]:
         output, counts = self._composition.render(view, self.latents(view), self._lamps(view))
-        # A view that sees no node has no Gaussians.
-        before = covered_before(output.meta, limit_m) if output.parts else torch.zeros_like(output.alpha)
-        return Rendering(output.rgb, output.alpha, output.depth_m, counts), before
+        return Rendering(output.rgb, output.alpha, output.depth_m, counts), output
 
     def latents(self, view: RenderView) -> Callable[[AppearanceLatents], tuple[Tensor, Tensor]]:
         """Return a function that selects the latents of a view's colours and content from a block's appearance."""
@@ -235,6 +231,11 @@ class StreetRenderer:
             return replace(lit[0][0], share=sum(weight for _, weight in lit)) if lit else None
 
         return select
+
+
+def _covers(output: StreetOutput, limit_m: Float32) -> Tensor:
+    """The share (H, W) of each pixel that is covered before a depth; a view that sees no node has no Gaussians."""
+    return covered_before(output.meta, limit_m) if output.parts else torch.zeros_like(output.alpha)
 
 
 def blend_latents(appearance: AppearanceLatents, blend: Blend) -> Tensor:

@@ -22,7 +22,7 @@ LEVELS_DB: Final = (25, 28, 30)
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity.
+    """A figure that the benchmark measures, with its part and its unit.
 
     Attributes:
         part: the part that measures it.

@@ -239,7 +239,7 @@ class _Run:
         self._each(record_folder, [folder for folder in ROOMS[room] if folder not in self._tests])
 
     def _each(self, do: Callable[[_One], None], some: Iterable[_One]) -> None:
-        """Do something for each of some things, as many at once as there are workers."""
+        """Call a function with each item, on as many threads as there are workers."""
         with ThreadPoolExecutor(self._free.qsize()) as pool:
             list(pool.map(do, some))
 

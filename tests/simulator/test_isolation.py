@@ -17,7 +17,7 @@ from hybridworldsim.simulator.isolation import container, sandbox
 from hybridworldsim.simulator.isolation.choice import PolicyChoice
 from hybridworldsim.simulator.isolation.isolated_policy import IsolatedPolicy
 from hybridworldsim.simulator.isolation.limits import PolicyLimits
-from hybridworldsim.simulator.isolation.program import Program
+from hybridworldsim.simulator.isolation.program import IsolatedProgram
 from hybridworldsim.simulator.isolation.sandbox import start_in_sandbox
 from hybridworldsim.simulator.isolation.serve import follow
 from hybridworldsim.simulator.renderers.protocol import rig_cameras
@@ -69,9 +69,9 @@ def _python(code: str) -> str:
 
 
 def drive(command: str, folder: Path | None, out: Path, deadline_s: float = 20.0) -> RolloutResult:
-    started: list[Program] = []
+    started: list[IsolatedProgram] = []
 
-    def start(variables: dict[str, str]) -> Program:
+    def start(variables: dict[str, str]) -> IsolatedProgram:
         started.append(start_in_sandbox(command, folder, PolicyLimits(start_s=60.0), variables))
         return started[-1]
 

@@ -183,7 +183,7 @@ class PartPlacer:
             features = []
             for index, data in stream.read(chosen.tolist()):
                 grey = read_grey(data, f"camera {one.info.name}, image {index}")
-                static = still.mark(int(time_ns[index]), grey.shape)
+                static = still.mark_static(int(time_ns[index]), grey.shape)
                 features.append(find_features(TrackedImage.from_grey(grey, static), self.options.features))
                 self.progress.advance(1)
             sigma = float(np.hypot(one.sigma_deg, self.inputs.camera.sigma_deg))

@@ -102,7 +102,7 @@ class StaticPixels:
             self.boxes = stamp[moving], poses[moving], size[moving]
         self.hidden = 0
 
-    def mark(self, time_ns: int, shape: tuple[int, ...]) -> Bool:
+    def mark_static(self, time_ns: int, shape: tuple[int, ...]) -> Bool:
         """Mark the static pixels (H, W) of the image that was taken at a time.
 
         Raises:
@@ -210,7 +210,9 @@ def choose_images(
         if late or motion.percent(small) >= motion_percent:
             motion.use(small)
             chosen.append(index)
-            found.append(find_features(TrackedImage.from_grey(grey, still.mark(int(time_ns[index]), shape)), features))
+            found.append(
+                find_features(TrackedImage.from_grey(grey, still.mark_static(int(time_ns[index]), shape)), features)
+            )
         advance(1)
     if shape is None:
         raise RecordingError("no images", place=f"camera {stream.camera}", expected="images of a moving vehicle")

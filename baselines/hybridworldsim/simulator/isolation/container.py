@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import Final
 
 from hybridworldsim.simulator.isolation.limits import SOCKET, SOCKET_VARIABLE, PolicyLimits
-from hybridworldsim.simulator.isolation.program import Program
+from hybridworldsim.simulator.isolation.program import IsolatedProgram
 from mirror.errors import UsageError
 
 _ENGINES: Final = ("podman", "docker")
@@ -56,7 +56,7 @@ def require_image(image: str) -> None:
         )  # fmt: skip
 
 
-def start_in_container(image: str, limits: PolicyLimits, variables: Mapping[str, str]) -> Program:
+def start_in_container(image: str, limits: PolicyLimits, variables: Mapping[str, str]) -> IsolatedProgram:
     """Start the program of an image in a container.
 
     Args:
@@ -80,7 +80,7 @@ def start_in_container(image: str, limits: PolicyLimits, variables: Mapping[str,
     def end() -> None:
         _run(engine, "rm", "--force", name)
 
-    return Program(build_command(engine, image, name, limits, variables), limits, find_root, end)
+    return IsolatedProgram(build_command(engine, image, name, limits, variables), limits, find_root, end)
 
 
 def build_command(engine: str, image: str, name: str, limits: PolicyLimits, variables: Mapping[str, str]) -> list[str]:

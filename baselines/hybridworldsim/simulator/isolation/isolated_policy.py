@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Final
 
 from hybridworldsim.simulator.isolation.limits import DRIVE_VARIABLE, PolicyLimits
-from hybridworldsim.simulator.isolation.program import Program
+from hybridworldsim.simulator.isolation.program import IsolatedProgram
 from hybridworldsim.simulator.policies.protocol import Action, Observation, ObservationSpec
 from hybridworldsim.simulator.remote.driver_file import DriverFile
 from hybridworldsim.simulator.remote.policy import RemotePolicy
@@ -17,7 +17,7 @@ from mirror.errors import UsageError
 
 _LOOK_S: Final = 0.02
 
-Start = Callable[[Mapping[str, str]], Program]
+Start = Callable[[Mapping[str, str]], IsolatedProgram]
 
 
 class IsolatedPolicy:
@@ -38,7 +38,7 @@ class IsolatedPolicy:
         self._driver = DriverFile(
             cameras={camera: camera for camera in cameras}, image_format="png", deadline_s=deadline_s
         )
-        self._program: Program | None = None
+        self._program: IsolatedProgram | None = None
         self._remote: RemotePolicy | None = None
 
     def reset(self, spec: ObservationSpec) -> None:

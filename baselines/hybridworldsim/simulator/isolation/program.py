@@ -20,7 +20,7 @@ _KEPT: Final = 1 << 12
 _PAGE: Final = os.sysconf("SC_PAGE_SIZE")
 
 
-class Program:
+class IsolatedProgram:
     """A program in a file system, a network and a list of processes of its own.
 
     Args:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from hybridworldsim.simulator.isolation.limits import SOCKET, SOCKET_VARIABLE, PolicyLimits
-from hybridworldsim.simulator.isolation.program import Program
+from hybridworldsim.simulator.isolation.program import IsolatedProgram
 from mirror.errors import UsageError
 from mirror.schema.strict_json import decode_json
 
@@ -45,7 +45,9 @@ def require_bubblewrap() -> str:
     return str(shutil.which("bwrap"))
 
 
-def start_in_sandbox(command: str, folder: Path | None, limits: PolicyLimits, variables: Mapping[str, str]) -> Program:
+def start_in_sandbox(
+    command: str, folder: Path | None, limits: PolicyLimits, variables: Mapping[str, str]
+) -> IsolatedProgram:
     """Start a program in a sandbox.
 
     Args:
@@ -60,7 +62,7 @@ def start_in_sandbox(command: str, folder: Path | None, limits: PolicyLimits, va
     reading, writing = os.pipe()
     arguments = build_command(require_bubblewrap(), shlex.split(command), folder, limits, variables, writing)
     root = _Root(reading)
-    return Program(arguments, limits, root.find, root.close, environment={}, pass_fds=(writing,))
+    return IsolatedProgram(arguments, limits, root.find, root.close, environment={}, pass_fds=(writing,))
 
 
 class _Root:

@@ -39,9 +39,9 @@ from hybridworldsim.rasterizer.cpu.projection.unscented import (
     WEIGHT,
     axes_in_camera,
     moments,
-    put_steps,
     sigma_point,
     spread_gradient,
+    store_steps,
 )
 from hybridworldsim.rasterizer.rolling_shutter import (
     NEWTON_STEPS,
@@ -256,7 +256,7 @@ def rolling_part(
         world = lanes.load_triples(means, rows, start)
         mean = to_camera(camera, world)
         first, second, third, _, is_rotation = rotation(lanes.load_quadruples(quats, rows, start))
-        put_steps(axes_in_camera(camera, first, second, third), lanes.load_triples(scales, rows, start), scratch)
+        store_steps(axes_in_camera(camera, first, second, third), lanes.load_triples(scales, rows, start), scratch)
         visible = _solve_points(camera, lens, shutter, mean, PIXEL_TOLERANCE, scratch)
         shift, shape = moments(scratch)
         centre = lanes.load(scratch, PIXELS) + shift[0], lanes.load(scratch, PIXELS + 8) + shift[1]
@@ -326,7 +326,7 @@ def rolling_part_backward(
         mean = to_camera(camera, world)
         first, second, third, k, _ = rotation(quat)
         axes = axes_in_camera(camera, first, second, third)
-        put_steps(axes, scale, scratch)
+        store_steps(axes, scale, scratch)
         _solve_points(camera, lens, shutter, mean, SLOPE_TOLERANCE, scratch)
         shift, shape = moments(scratch)
 

@@ -54,7 +54,7 @@ def axes_in_camera(camera: Any, first: Any, second: Any, third: Any) -> Any:
 
 
 @kernel(inline="always")
-def put_steps(axes: Any, scale: Any, scratch: Any) -> None:
+def store_steps(axes: Any, scale: Any, scratch: Any) -> None:
     """Store the steps from the mean to the points, axis by axis."""
     lanes.store(scratch, 0, UT_SPREAD * scale[0] * axes[0][0])
     lanes.store(scratch, 8, UT_SPREAD * scale[0] * axes[1][0])
@@ -202,7 +202,7 @@ def unscented_part(
     for start in range(0, found, 8):
         mean = to_camera(camera, lanes.load_triples(means, rows, start))
         first, second, third, _, is_rotation = rotation(lanes.load_quadruples(quats, rows, start))
-        put_steps(axes_in_camera(camera, first, second, third), lanes.load_triples(scales, rows, start), scratch)
+        store_steps(axes_in_camera(camera, first, second, third), lanes.load_triples(scales, rows, start), scratch)
         visible = 0
         for number in range(7):
             x, y, _, _, valid = project_point(camera, lens, sigma_point(number, mean, scratch))
@@ -270,7 +270,7 @@ def unscented_part_backward(
         mean = to_camera(camera, world)
         first, second, third, k, _ = rotation(quat)
         axes = axes_in_camera(camera, first, second, third)
-        put_steps(axes, scale, scratch)
+        store_steps(axes, scale, scratch)
         for number in range(7):
             x, y, _, _, _ = project_point(camera, lens, sigma_point(number, mean, scratch))
             lanes.store(scratch, PIXELS + 16 * number, x)

@@ -1,7 +1,7 @@
 """Builds the site of the documentation: ``make docs``, or ``python docs/make_site.py [--sources-only]``.
 
-The pages are docs/*.md and README.md as its first page; the references of the command line and of the Python names are
-made from the code. Zensical builds them by mkdocs.yml; a link to nothing ends the build.
+The pages are those of docs and its folders, and README.md as the first page; the references of the command line and of
+the Python names are made from the code. Zensical builds them by mkdocs.yml; a link to nothing ends the build.
 """
 
 from __future__ import annotations
@@ -53,12 +53,13 @@ def write_sources(out: Path) -> list[Path]:
     shutil.rmtree(out, ignore_errors=True)
     (out / "reference").mkdir(parents=True)
     shutil.copytree(ROOT / "docs" / "images", out / "images")
-    pages = {path: out / path.name for path in sorted((ROOT / "docs").glob("*.md"))}
+    pages = {path: out / path.relative_to(ROOT / "docs") for path in sorted((ROOT / "docs").rglob("*.md"))}
     pages[ROOT / "README.md"] = out / "index.md"
     pages[ROOT / "CHANGELOG.md"] = out / "changelog.md"
     pages[ROOT / "CONTRIBUTING.md"] = out / "contributing.md"
     pages[ROOT / "SECURITY.md"] = out / "security.md"
     for source, page in pages.items():
+        page.parent.mkdir(parents=True, exist_ok=True)
         page.write_text(_rewrite_links(source, pages, out))
     commands, names = out / "reference" / "command-line.md", out / "reference" / "python.md"
     commands.write_text(describe_commands())
@@ -75,16 +76,18 @@ def _rewrite_links(source: Path, pages: dict[Path, Path], out: Path) -> str:
         if "://" in address or address.startswith("mailto:") or not target.exists() or target.is_relative_to(out):
             return found.group(0)
         if target in pages:
-            return f"{opening}{pages[target].relative_to(out).as_posix()}{heading or ''}{closing}"
-        if target.is_relative_to(ROOT / "docs" / "images"):
-            return f"{opening}{target.relative_to(ROOT / 'docs').as_posix()}{closing}"
-        return f"{opening}{_copy_file(target, out)}{closing}"
+            copy = pages[target]
+        elif target.is_relative_to(ROOT / "docs" / "images"):
+            copy = out / target.relative_to(ROOT / "docs")
+        else:
+            copy, heading = _copy_file(target, out), None
+        return f"{opening}{os.path.relpath(copy, pages[source].parent)}{heading or ''}{closing}"
 
     return _LINK.sub(rewrite, source.read_text())
 
 
-def _copy_file(target: Path, out: Path) -> str:
-    """Copy a file of the repository into the site, a folder as the list of its files; returns its address."""
+def _copy_file(target: Path, out: Path) -> Path:
+    """Copy a file of the repository into the site, a folder as the list of its files; returns the copy."""
     place = PurePosixPath(_FILES, target.relative_to(ROOT).as_posix())
     # Other documents stay text: their own links lead into the repository.
     copy = out / (f"{place}.txt" if target.is_dir() or target.suffix == ".md" else place)
@@ -93,7 +96,7 @@ def _copy_file(target: Path, out: Path) -> str:
         copy.write_text("\n".join(sorted(path.name for path in target.iterdir())) + "\n")
     else:
         shutil.copy(target, copy)
-    return copy.relative_to(out).as_posix()
+    return copy
 
 
 def describe_commands() -> str:

@@ -216,7 +216,7 @@ def reader_options(pairs: Sequence[str], **named: str | None) -> dict[str, str]:
             raise UsageError(
                 f"{pair!r} is not KEY=VALUE", place="--option",
                 expected="the name of an option of the reader, =, and its value",
-                remedy="give it as `--option KEY=VALUE`; docs/recordings.md lists the options of each reader",
+                remedy="give it as `--option KEY=VALUE`; docs/recordings/READER.md lists those of a reader",
             )  # fmt: skip
         options[key] = value
     return options

@@ -1,4 +1,4 @@
-"""Reads ``recording.json`` and the calibrations of the `folder` layout; docs/recordings.md specifies them."""
+"""Reads ``recording.json`` and the calibrations of the `folder` layout; docs/recordings/folder.md specifies them."""
 
 from __future__ import annotations
 
@@ -130,6 +130,6 @@ def _document_errors(file: Path) -> Iterator[None]:
             problem,
             file=file,
             place=place,
-            expected="what docs/recordings.md specifies for this key",
+            expected="what docs/recordings/folder.md specifies for this key",
             remedy="correct what is named",
         ) from error

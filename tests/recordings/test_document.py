@@ -1,4 +1,4 @@
-"""The examples of docs/recordings.md are valid."""
+"""The examples of docs/recordings/folder.md are valid, and each reader has a page."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from tests.builders.small_folder import write_image
 from tests.conftest import ROOT
 from tests.recordings.videos import FRAMES, write_video
 
-TEXT = (ROOT / "docs" / "recordings.md").read_text()
+PAGES = ROOT / "docs" / "recordings"
+TEXT = (PAGES / "folder.md").read_text()
 
 
 @pytest.fixture
@@ -58,7 +59,11 @@ def test_the_example_is_a_recording(example: Path) -> None:
 
 def test_every_built_in_reader_and_time_base_is_described() -> None:
     ours = [name for name, reader in load_readers().items() if type(reader).__module__.startswith("mirror.")]
-    assert [name for name in ours if f"## `{name}`" not in TEXT] == []
+    contents = (ROOT / "docs" / "recordings.md").read_text()
+    for name in ours:
+        page = (PAGES / f"{name}.md").read_text()
+        assert page.startswith(f"# `{name}`") and f"](recordings/{name}.md)" in contents, name
+        assert "\n| | |\n" in page or "\n|---|" in page or name == "rosbag2", "a table of what is read"
     assert [name for name in TIME_BASES if f"`{name}`" not in TEXT] == []
 
 

@@ -1,4 +1,4 @@
-"""Reads the `folder` layout, MIRROR's own raw layout for fleet recordings; docs/recordings.md specifies it."""
+"""Reads the `folder` layout, MIRROR's own raw layout for fleet recordings; docs/recordings/folder.md specifies it."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class CsvReader:
         return "time" in usual and any({*axes[:2]} <= usual.keys() for axes in (_GEODETIC, _LOCAL))
 
     def open(self, path: Path, options: Mapping[str, str]) -> CsvRecording:
-        """Open a table, or a folder of tables; the options are described in docs/recordings.md."""
+        """Open a table, or a folder of tables; the options are described in docs/recordings/csv.md."""
         refuse_options(options, _OPTIONS, path, self.name)
         if "frame" in options and not is_identifier(options["frame"]):
             raise RecordingError(

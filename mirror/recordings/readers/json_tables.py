@@ -3,7 +3,7 @@
 A list is read in pieces: no Python object per value, and no whole file.
 
 The tables of nuScenes have millions of objects. Decoding them with Python's JSON takes about nine times the memory
-and the time (docs/recordings.md has the figures).
+and the time (docs/recordings/nuscenes.md has the figures).
 """
 
 from __future__ import annotations

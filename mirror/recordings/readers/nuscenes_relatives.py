@@ -56,6 +56,6 @@ def _error(dataset: str, folder: Path) -> RecordingError:
         f"the tables of {dataset}: they have the names of nuScenes, but other contents",
         file=folder,
         expected="the tables of nuScenes v1.0",
-        remedy="no reader reads this dataset: convert it to MIRROR's own layout (docs/recordings.md), or install a"
-        " package that reads it",
+        remedy="no reader reads this dataset: convert it to MIRROR's own layout (docs/recordings/folder.md), or install"
+        " a package that reads it",
     )

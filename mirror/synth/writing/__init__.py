@@ -1,4 +1,7 @@
-"""Writes drives as recordings in the `folder` layout (docs/recordings.md), with the chosen errors and ground truth."""
+"""Writes drives as recordings in the `folder` layout, with the chosen errors and ground truth.
+
+docs/recordings/folder.md specifies the layout.
+"""
 
 from __future__ import annotations
 

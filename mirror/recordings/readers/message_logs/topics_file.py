@@ -21,7 +21,7 @@ from mirror.schema.problems import describe_problems
 from mirror.schema.strict_toml import TomlError, decode_toml
 
 CANONICAL: Final = ("front_wide", "front_narrow", "front_left", "front_right", "rear_left", "rear_right", "rear")
-_STRICT: Final = "a topics file as docs/recordings.md describes it"
+_STRICT: Final = "a topics file as docs/recordings/mcap.md describes it"
 
 
 class PoseTopics(Document):

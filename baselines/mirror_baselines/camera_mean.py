@@ -1,7 +1,7 @@
 """A floor that shows no place: each view shows the mean of its camera's training images in the scene.
 
 A score that this floor raises above ``nearest_frame`` rewards a typical street, not this one: sky above, road below, a
-facade at either side. `psnr_invariant` did so by 0.2 to 0.5 dB (docs/threat-model.md).
+facade at either side. `psnr_invariant` did so by 0.2 to 0.5 dB (docs/threat-model/figures.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A floor without colour: each view shows the image of ``nearest_frame`` with its luma in all three channels.
 
 A score that this floor raises rewards something other than the scene: luma in all channels is one of the recolourings
-that raised PSNR after a colour fit (docs/threat-model.md).
+that raised PSNR after a colour fit (docs/threat-model/figures.md).
 """
 
 from __future__ import annotations

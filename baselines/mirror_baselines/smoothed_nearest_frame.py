@@ -1,7 +1,7 @@
 """A floor without detail: each view shows the image of ``nearest_frame`` with luma and colours smoothed.
 
 A score that this floor raises above ``nearest_frame`` rewards a render that says less: `psnr_invariant` did so by up to
-0.4 dB (docs/threat-model.md).
+0.4 dB (docs/threat-model/figures.md).
 """
 
 from __future__ import annotations

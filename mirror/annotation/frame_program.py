@@ -1,4 +1,4 @@
-"""A program in another environment that answers one line of JSON for each frame (docs/annotation.md).
+"""A program in another environment that answers one line of JSON for each frame (docs/annotation/detectors.md).
 
 One request, one answer, in order, on the program's standard input and output; its standard error is the user's. A
 program that ends, hangs or answers anything else is killed and started again, and the frame is asked once more.

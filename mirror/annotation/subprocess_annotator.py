@@ -1,4 +1,4 @@
-"""The annotator ``subprocess``: a program in another environment, which answers lines of JSON (docs/annotation.md)."""
+"""The annotator ``subprocess``: a program in another environment, which answers JSON (docs/annotation/detectors.md)."""
 
 from __future__ import annotations
 

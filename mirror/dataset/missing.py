@@ -52,8 +52,9 @@ def find_missing(dataset: Dataset) -> list[Missing]:
         (
             "boxes",
             _BOXES_NEEDED_BY,
-            "`mirror annotate` takes those of a file, a program or a network: docs/annotation.md shows a program of ten"
-            " lines. No network for real images comes with MIRROR. `--no-masks` does without boxes and masks",
+            "`mirror annotate` takes those of a file, a program or a network: docs/annotation/detectors.md shows a"
+            " program of ten lines. No network for real images comes with MIRROR. `--no-masks` does without boxes"
+            " and masks",
         ),
         ("masks", _MASKS_NEEDED_BY, "not needed where there are boxes; `mirror annotate masks` makes them of boxes"),
         (

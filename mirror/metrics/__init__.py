@@ -2,7 +2,7 @@
 
 `mirror.metrics.images` compares renders with photographs, `mirror.metrics.features` distributions of images,
 `mirror.metrics.boxes` regions, `mirror.metrics.detection` annotations. The names below are imported on first use. Every
-variant of a metric has a name, and ``docs/metrics.md`` says what each reproduces.
+variant of a metric has a name, and ``docs/metrics`` says what each reproduces.
 """
 
 from __future__ import annotations

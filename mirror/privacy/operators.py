@@ -1,7 +1,7 @@
 """Operators that remove what a region shows: what is left are at most 16 values a channel, whatever the resolution.
 
-A blur or a fine mosaic can be inverted by an attacker who knows the operator (see docs/privacy.md). Here the
-irreversible step comes first: a region is reduced to the means of at most 4 x 4 cells, and only these are smoothed.
+A blur or a fine mosaic can be inverted by an attacker who knows the operator (see docs/privacy/measurements.md). Here
+the irreversible step comes first: a region is reduced to the means of at most 4 x 4 cells, and only these are smoothed.
 """
 
 from __future__ import annotations

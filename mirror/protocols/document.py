@@ -336,5 +336,5 @@ def parse_protocol(data: bytes, file: str) -> Protocol:
             problem,
             file=file,
             place=place,
-            expected="a protocol as docs/evaluation.md describes it",
+            expected="a protocol as docs/evaluation/protocols.md describes it",
         ) from error

@@ -69,8 +69,9 @@ def test_recordings_without_boxes_are_reconstructed_published_submitted_and_scor
 
 
 def test_a_program_of_ten_lines_brings_boxes(recordings: Path, tmp_path: Path) -> None:
-    """The program of docs/annotation.md, with a detector that finds one box in every image."""
-    (code,) = re.findall(r"```python\n(# detect.py\n.*?)```", (ROOT / "docs" / "annotation.md").read_text(), re.S)
+    """The program of docs/annotation/detectors.md, with a detector that finds one box in every image."""
+    page = (ROOT / "docs" / "annotation" / "detectors.md").read_text()
+    (code,) = re.findall(r"```python\n(# detect.py\n.*?)```", page, re.S)
     assert len([line for line in code.splitlines() if line.strip()]) <= 10
     box = '[{"centre_m": [8, 2, 0.8], "rotation": [1, 0, 0, 0], "size_m": [4.2, 1.8, 1.5], "category": "car"}]'
     (tmp_path / "detect.py").write_text(code.replace("return []", f"return {box}"))

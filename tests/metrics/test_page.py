@@ -1,4 +1,4 @@
-"""docs/metrics.md runs as it stands."""
+"""The Python of docs/metrics.md and of its pages runs as it stands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ pytest.importorskip("torch")
 
 def test_the_page_s_code_runs_and_tensors_score_as_arrays() -> None:
     names: dict[str, Any] = {}
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "metrics.md").read_text(), re.DOTALL)
+    pages = [ROOT / "docs" / "metrics.md", *sorted((ROOT / "docs" / "metrics").glob("*.md"))]
+    blocks = re.findall(r"```python\n(.*?)```", "\n".join(page.read_text() for page in pages), re.DOTALL)
     assert len(blocks) == 4
     for code in blocks[:2]:
         exec(code, names)

@@ -2,7 +2,7 @@
 
 A render of another traversal has another light. Every metric that forgives it by a fit can be gained on by a render
 that is recoloured for the fit: by the blue channel copied into all three, by a ramp from top to bottom, by luma in one
-channel and ramps in the others (docs/threat-model.md has the figures). This metric has three defences:
+channel and ramps in the others (docs/threat-model/figures.md has the figures). This metric has three defences:
 
 - The fit maps the truth's colours linearly from all channels of the render, an offset and two ramps, along rows and
   columns. What another recolouring or a ramp could add is given to every render.

@@ -1,7 +1,7 @@
 """Structure at several scales that a render matches, ``matched_structure``: the key that ranks renders.
 
 It is `ms_structure` (its module has the definition) in a form in which changes that show nothing more gain less. On a
-street where five trained methods are close, the figures of docs/threat-model.md made three changes necessary:
+street where five trained methods are close, the figures of docs/threat-model/figures.md made three changes necessary:
 
 - A window counts where the render explains more than `LEAST_SHARE` of the truth's variance, and by what it explains
   beyond. Structure beside its place explains some of it everywhere, and a blur improves all of that a little.

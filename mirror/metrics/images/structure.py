@@ -4,7 +4,7 @@
 
 PSNR and SSIM reward renders that show less. On held-out images, whose light differs from the trained light, a flat
 colour has a better SSIM than the nearest recorded image, before and after a fit of its colours, and a blur improves the
-PSNR of every reconstruction (docs/threat-model.md has the figures). This metric has four defences:
+PSNR of every reconstruction (docs/threat-model/figures.md has the figures). This metric has four defences:
 
 - Only correlation counts: in each window, the score is 0 for a render without structure, whatever its level or
   contrast, and its expectation is 0 for structure that has nothing to do with the truth.

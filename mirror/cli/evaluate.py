@@ -72,7 +72,7 @@ class Arguments:
     features: Annotated[Path | None, help_text(default="in --out", metavar="FOLDER")] = None
     """Folder of cached features of true images, which evaluations may share."""
     workers: int = field(default_factory=lambda: min(os.cpu_count() or 1, 2))
-    """Number of processes."""
+    """Greatest number of processes; a second one starts only where it saves more than its own start."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "cpu"
     """Where networks such as LPIPS and Inception run. Scores for a board are those of the CPU; others say so."""
     json: bool = False

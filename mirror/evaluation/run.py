@@ -62,7 +62,7 @@ class EvaluationOptions:
         hidden: folder of hidden truth, in the layout of a submission.
         require: metrics that must be available, by name or by the part of the name before the first ``_``.
         stand_ins: whether stand-in metrics are computed, under their own names, for metrics without weights.
-        workers: number of worker processes.
+        workers: greatest number of worker processes; few images are scored in this process.
         resolver: finds the weights of networks.
         extractor: extractor of edited regions; None: `DEFAULT_EXTRACTOR` if the protocol needs one.
         measured: a method (an installed one, or ``FILE.py:OBJECT``) and the folder of its model, for a measurement of
@@ -172,7 +172,12 @@ def evaluate(
     _require_recorded_images(dataset, [job for job in jobs if options.hidden is None or job.recorded])
     progress.start("scoring", len(jobs))
     outcome = score_jobs(
-        jobs, inputs, ScoreLog(out / WORK / "scored.jsonl"), workers=options.workers, advance=progress.advance
+        jobs,
+        inputs,
+        ScoreLog(out / WORK / "scored.jsonl"),
+        workers=options.workers,
+        begins_here=not available.weights and options.measured is None,
+        advance=progress.advance,
     )
     if outcome.failed:
         problems = tuple(

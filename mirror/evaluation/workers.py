@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -23,6 +24,8 @@ from mirror.schema.hashing import HashStyle, hash_document
 
 _CHUNK: Final = 8
 _COMMON: Final = "key of all jobs"
+_START_S: Final = 1.5
+"""Processor time that a worker takes to start, half a second of it for compiled kernels, and as much for OpenCV."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ def score_jobs(
     log: ScoreLog,
     *,
     workers: int,
+    begins_here: bool = False,
     advance: Callable[[int], None] = lambda _: None,
 ) -> ScoringOutcome:
     """Score all jobs.
@@ -78,7 +82,9 @@ def score_jobs(
         jobs: jobs to score.
         inputs: inputs of the scorer.
         log: log of this run and earlier runs.
-        workers: number of processes; 1: the jobs run in this process.
+        workers: greatest number of processes; 1: the jobs run in this process.
+        begins_here: whether workers start only if the jobs that are left would take this process longer than the
+            start of the workers. For jobs without networks, whose threads are those of the process.
         advance: called with the number of finished jobs.
 
     Raises:
@@ -100,7 +106,7 @@ def score_jobs(
             rest.append(job)
     reused = len(found)
     advance(reused)
-    with closing(_run(rest, inputs, workers)) as coming:
+    with closing(_run(rest, inputs, workers, begins_here)) as coming:
         for done in coming:
             for one in done:
                 found[one.name] = one
@@ -158,8 +164,20 @@ def _common_key(inputs: ScoringInputs) -> object:
     return inputs.made[_COMMON]
 
 
-def _run(jobs: Sequence[Job], inputs: ScoringInputs, workers: int) -> Generator[list[_JobOutcome], None, None]:
+def _run(
+    jobs: Sequence[Job], inputs: ScoringInputs, workers: int, begins_here: bool
+) -> Generator[list[_JobOutcome], None, None]:
     chunks = [jobs[start : start + _CHUNK] for start in range(0, len(jobs), _CHUNK)]
+    if begins_here and workers > 1:
+        # The first chunk includes compilation and imports, so that it says nothing about the others.
+        yield from map(_score_chunk, chunks[:1], [inputs])
+        chunks = chunks[1:]
+        while chunks:
+            begin = time.thread_time()
+            yield _score_chunk(chunks[0], inputs)
+            chunks = chunks[1:]
+            if (time.thread_time() - begin) * len(chunks) * (workers - 1) / workers > workers * _START_S:
+                break
     if workers == 1 or len(chunks) < 2:
         for chunk in chunks:
             yield _score_chunk(chunk, inputs)

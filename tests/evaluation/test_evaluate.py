@@ -20,7 +20,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.compare import compare
 from mirror.evaluation.run import EvaluationOptions, evaluate, read_result
-from mirror.evaluation.workers import ScoreLog
+from mirror.evaluation.workers import ScoreLog, score_jobs
 from mirror.geometry.box_projection import project_boxes
 from mirror.protocols.document import load_protocol
 from mirror.protocols.truth.source import GroundTruth
@@ -115,6 +115,10 @@ def test_two_processes_and_a_resumed_run_give_equal_results(root: Path, folder: 
     single = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "one", ALONE)
     two = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "two", EvaluationOptions(workers=2))
     assert single.result == two.result
+    # As few images are scored in one process whatever is asked, the second one is asked here.
+    assert single.inputs is not None
+    pooled = score_jobs([one.job for one in single.scored], single.inputs, ScoreLog(tmp_path / "log"), workers=2)
+    assert pooled.scored == single.scored
     assert single.reused == two.reused == 0
     # The state after a kill during the third line.
     log = tmp_path / "two" / "work" / "scored.jsonl"

@@ -32,7 +32,7 @@ ITERATIONS: Final = 5
 SATURATED: Final = 0.5 / 255.0
 
 _BLOCK: Final = 8192
-_LARGE: Final = 30_000
+_LARGE: Final = _BLOCK + 1
 """RGB images with as many pixels are fitted by compiled kernels: a smaller one does not pay for compiling them."""
 # Directions of colour whose variance is below this share of the largest are rounding; so are singular values.
 _LEAST_VARIANCE: Final = 1e-13

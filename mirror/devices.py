@@ -63,8 +63,8 @@ def require_device_name(device: str) -> None:
 def resolve_device(requested: str, *, splats: bool = False) -> Device:
     """Resolve a device: the requested one, or for ``auto`` the first GPU that is usable, else the CPU.
 
-    torch is imported only if a GPU may be chosen. The checks are the same for ``auto``, which states the first obstacle
-    as its reason, and for a GPU by name, where it is an error.
+    torch is imported only if a GPU may be chosen; there it is set to convolve float32 in full precision. The checks are
+    the same for ``auto``, which states the first obstacle as its reason, and for a GPU by name, where it is an error.
 
     Args:
         requested: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
@@ -179,6 +179,8 @@ def _resolve_gpu(index: int, splats: bool) -> Device:
             remedy=f"--device cuda:{count - 1}, or {_CPU_REMEDY}",
         )  # fmt: skip
     gsplat = _require_gsplat() if splats else None
+    # By default torch convolves float32 with ten bits of mantissa on a GPU; figures, and SSIM above all, need all.
+    torch.backends.cudnn.allow_tf32 = False
     name = torch.cuda.get_device_name(index)
     parts = [name, f"torch {torch.__version__}", f"gsplat {gsplat}" if gsplat else ""]
     return Device(f"cuda:{index}", ", ".join(filter(None, parts)), gsplat)

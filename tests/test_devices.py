@@ -22,6 +22,7 @@ no_gpu = pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has 
 def gpus(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two GPUs, as torch states them, and gsplat with kernels."""
     monkeypatch.setattr(torch.version, "cuda", "13.0")
+    monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device}")
@@ -61,6 +62,7 @@ def test_a_gpu_is_chosen_and_described() -> None:
         "cuda:1", f"GPU 1, torch {torch.__version__}, gsplat 1.5.3", "1.5.3"
     )
     assert resolve_device("cpu").name == "cpu"
+    assert not torch.backends.cudnn.allow_tf32 and not torch.backends.cuda.matmul.allow_tf32
     assert library_versions("cuda:1", splats=True) == {
         "torch": "2.13.0", "gsplat": "1.5.3", "gpu": "GPU cuda:1", "cuda": "13.0"
     }  # fmt: skip

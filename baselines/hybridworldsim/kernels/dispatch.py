@@ -5,16 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from torch import Tensor
+from mirror.devices import CPU
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _PLAIN: Final = ContextVar("plain", default=False)
 
 
 def is_compiled(tensor: Tensor) -> bool:
     """Return whether the compiled kernels compute with a tensor: on the CPU, unless plain torch is requested."""
-    return tensor.device.type == "cpu" and not _PLAIN.get()
+    return runs_kernels(tensor.device.type)
+
+
+def runs_kernels(device: str) -> bool:
+    """Return whether the compiled kernels compute for a device: for the CPU, unless plain torch is requested.
+
+    Args:
+        device: as torch names it.
+    """
+    return device == CPU and not _PLAIN.get()
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from hybridworldsim.mvs.methods import LEARNED, Method
+from hybridworldsim.mvs.methods import SPARSE, Method
 from hybridworldsim.mvs.options import InitialisationOptions
 from mirror.command_line import help_text, parse_arguments
 from mirror.devices import choose_device
@@ -34,7 +34,7 @@ class Arguments:
     weights: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
     """Weights of a learned method."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
-    """Device that runs a learned method. auto: a GPU that torch can use, else the CPU. The first line says which."""
+    """Device that estimates; sparse takes none. auto: a GPU that torch can use, else the CPU: the first line says."""
     version: Annotated[str | None, help_text(default="the name of the split")] = None
     """Version of the layers."""
     options: tyro.conf.OmitArgPrefixes[InitialisationOptions] = field(default_factory=InitialisationOptions)
@@ -48,7 +48,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.dataset.writing import open_to_write
     from mirror.progress import progress_bar
 
-    device = choose_device(arguments.device, f"method {arguments.method}", takes_device=arguments.method in LEARNED)
+    device = choose_device(arguments.device, f"method {arguments.method}", takes_device=arguments.method != SPARSE)
     print(device, flush=True)
     with progress_bar(quiet=False) as bar:
         report = initialise(

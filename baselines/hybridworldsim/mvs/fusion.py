@@ -15,8 +15,10 @@ from typing import Final
 import numba
 import numpy as np
 
+from hybridworldsim.kernels.dispatch import runs_kernels
 from hybridworldsim.kernels.threads import in_row_spans
 from mirror.arrays import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
+from mirror.devices import CPU
 from mirror.geometry.poses import Poses
 
 
@@ -50,8 +52,23 @@ class ConfirmedDepth:
     spread_m: Float32
 
 
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """The motions of pixels between two depth maps, ``z A (u, v, 1) + b``: (3, 3) A and (3,) b, forth and back."""
+
+    forth: Float64
+    forth_t: Float64
+    back: Float64
+    back_t: Float64
+
+
 def confirm(
-    reference: PosedDepth, others: Sequence[PosedDepth], *, max_px: float = 1.0, max_share: float = 0.01
+    reference: PosedDepth,
+    others: Sequence[PosedDepth],
+    *,
+    max_px: float = 1.0,
+    max_share: float = 0.01,
+    device: str = CPU,
 ) -> ConfirmedDepth:
     """Compare a depth map with other depth maps.
 
@@ -60,32 +77,79 @@ def confirm(
         others: depth maps that may show the same surfaces.
         max_px: greatest distance of a reprojected point from its start, px.
         max_share: greatest difference of depths, as a share of the depth.
+        device: where they are compared, as torch names it: on the CPU by a compiled kernel, elsewhere in plain torch.
     """
+    motions = [_relate(reference, other) for other in others]
+    add_all = _add_compiled if runs_kernels(device) else partial(_add_elsewhere, device)
     views = np.isfinite(reference.depth_m).astype(np.int32)
     total = np.where(views > 0, reference.depth_m, 0.0).astype(np.float64)
     square = total * total
-    for other in others:
-        forth = (other.world_SE3_camera.inverse() @ reference.world_SE3_camera).matrix()[0]
-        back = np.linalg.inv(forth)
-        compared = (
-            reference.depth_m,
-            other.depth_m,
-            other.K @ forth[:3, :3] @ np.linalg.inv(reference.K),
-            other.K @ forth[:3, 3],
-            reference.K @ back[:3, :3] @ np.linalg.inv(other.K),
-            reference.K @ back[:3, 3],
-            max_px,
-            max_share,
-            views,
-            total,
-            square,
-        )
-        in_row_spans(partial(_count_agreeing, *compared), len(views))
+    add_all(reference, others, motions, max_px, max_share, views, total, square)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = total / views
         spread = np.sqrt(np.maximum(square / views - mean * mean, 0.0))
     depth = np.where(views > 0, mean, np.nan).astype(np.float32)
     return ConfirmedDepth(views, depth, np.where(views > 1, spread, np.nan).astype(np.float32))
+
+
+def _relate(reference: PosedDepth, other: PosedDepth) -> _Motion:
+    """Compute the motions between two depth maps."""
+    forth = (other.world_SE3_camera.inverse() @ reference.world_SE3_camera).matrix()[0]
+    back = np.linalg.inv(forth)
+    return _Motion(
+        other.K @ forth[:3, :3] @ np.linalg.inv(reference.K),
+        other.K @ forth[:3, 3],
+        reference.K @ back[:3, :3] @ np.linalg.inv(other.K),
+        reference.K @ back[:3, 3],
+    )
+
+
+def _add_compiled(
+    reference: PosedDepth,
+    others: Sequence[PosedDepth],
+    motions: Sequence[_Motion],
+    max_px: float,
+    max_share: float,
+    views: Int32,
+    total: Float64,
+    square: Float64,
+) -> None:
+    """Add the depths of all other maps that agree to counts, sums and squared sums (H, W), by the kernel."""
+    for other, motion in zip(others, motions, strict=True):
+        matrices = motion.forth, motion.forth_t, motion.back, motion.back_t
+        compared = reference.depth_m, other.depth_m, *matrices, max_px, max_share, views, total, square
+        in_row_spans(partial(_count_agreeing, *compared), len(views))
+
+
+def _add_elsewhere(
+    device: str,
+    reference: PosedDepth,
+    others: Sequence[PosedDepth],
+    motions: Sequence[_Motion],
+    max_px: float,
+    max_share: float,
+    views: Int32,
+    total: Float64,
+    square: Float64,
+) -> None:
+    """Do as `_add_compiled`, in plain torch on a device, from which the sums are read once."""
+    import torch
+
+    from hybridworldsim.mvs.plain.fusion import OtherDepth, find_agreeing
+
+    def move(array: Float32 | Float64) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(device)
+
+    first = move(reference.depth_m)
+    sums = torch.zeros(3, *first.shape, dtype=torch.float64, device=device)
+    for other, motion in zip(others, motions, strict=True):
+        matrices = (move(one) for one in (motion.forth, motion.forth_t, motion.back, motion.back_t))
+        agreeing = find_agreeing(first, OtherDepth(move(other.depth_m), *matrices), max_px, max_share)
+        sums += torch.stack((agreeing > 0.0, agreeing, agreeing * agreeing))
+    added = sums.cpu().numpy()
+    views += added[0].astype(np.int32)
+    total += added[1]
+    square += added[2]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -12,10 +12,10 @@ from mirror.errors import UsageError
 
 Method = Literal["plane-sweep", "mvsnet", "patchmatchnet", "sparse"]
 LEARNED: Final = ("mvsnet", "patchmatchnet")
-"""The methods that are networks and compute on any device."""
+"""The methods that are networks."""
 
 SPARSE: Final = "sparse"
-"""The method without depth: it matches features and triangulates them."""
+"""The method without depth: it matches features and triangulates them, on the CPU."""
 
 MIN_CONFIDENCE: Final = {"plane-sweep": 0.05, "mvsnet": 0.8, "patchmatchnet": 0.8}
 """By method, the confidence below which a depth counts as unknown."""
@@ -27,7 +27,7 @@ def make_estimator(method: str, weights: Path | None = None, device: str = CPU) 
     Args:
         method: name of the estimator.
         weights: file with its weights; None: `WeightResolver` finds the file.
-        device: where a network computes, as torch names it; the plane sweep computes on the CPU.
+        device: where it computes, as torch names it.
 
     Raises:
         UsageError: no method has this name, or the method takes no weights.
@@ -48,4 +48,4 @@ def make_estimator(method: str, weights: Path | None = None, device: str = CPU) 
         raise UsageError(f"no estimator is called {method!r}", expected="plane-sweep, mvsnet or patchmatchnet")
     if weights is not None:
         raise UsageError("plane-sweep has no weights", remedy="leave --weights out")
-    return PlaneSweep()
+    return PlaneSweep(device=device)

@@ -12,13 +12,15 @@ neighbours decide where windows are ambiguous.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from hybridworldsim.kernels.dispatch import runs_kernels
 from hybridworldsim.mvs.estimator import DepthMap, StereoImage, make_unknown_depth, require_depth_range
 from hybridworldsim.mvs.sweep.planes import Planes, make_facing_planes, make_road_planes, make_upright_planes
-from mirror.arrays import Float32, Float64
+from mirror.arrays import AnyArray, Float32, Float64
+from mirror.devices import CPU
 
 _LUMA = (0.299, 0.587, 0.114)
 _STEP, _JUMP, _NEUTRAL, _CONTRAST = 8, 48, 100, 0.05
@@ -28,7 +30,8 @@ _STEP, _JUMP, _NEUTRAL, _CONTRAST = 8, 48, 100, 0.05
 class PlaneSweep:
     """A `DepthEstimator` by plane sweep. Its results do not depend on the number of threads.
 
-    Memory: 3 bytes per pixel and facing plane, and the images.
+    The CPU runs compiled kernels, other devices plain torch. Memory: 3 bytes per pixel and facing plane, and the
+    images; in plain torch also about 0.5 GB, or 40 bytes per pixel and source where that is more.
 
     Attributes:
         planes: number of planes that face the camera, evenly spaced in inverse depth: the resolution of depth before
@@ -41,6 +44,7 @@ class PlaneSweep:
             correlation makes over four paths.
         least_deviation: standard deviation of grey values in a window, of a range of 1, below which the window has no
             texture.
+        device: where it computes, as torch names it; results of a GPU differ in the last digits.
     """
 
     planes: int = 128
@@ -50,17 +54,25 @@ class PlaneSweep:
     least_score: float = 0.4
     least_margin: float = 0.05
     least_deviation: float = 0.008
+    device: str = field(default=CPU, repr=False)
 
     def __call__(self, reference: StereoImage, sources: Sequence[StereoImage], near_m: float, far_m: float) -> DepthMap:
         """Estimate the depth of an image; see `DepthEstimator`."""
         require_depth_range(near_m, far_m)
         if not sources:
             return make_unknown_depth(reference)
-        from hybridworldsim.mvs.sweep.correlation import COSTS, compute_cost_volume
+        planes = self._make_planes(reference, sources, near_m, far_m)
+        sweep = self._sweep_compiled if runs_kernels(self.device) else self._sweep_elsewhere
+        return sweep(reference, sources, planes, (1.0 / far_m, 1.0 / near_m))
+
+    def _sweep_compiled(
+        self, reference: StereoImage, sources: Sequence[StereoImage], planes: Planes, inverse_range: tuple[float, float]
+    ) -> DepthMap:
+        """Sweep the planes by compiled kernels."""
+        from hybridworldsim.mvs.sweep.correlation import compute_cost_volume
         from hybridworldsim.mvs.sweep.path_costs import select_depths, smooth_costs
 
-        planes = self._make_planes(reference, sources, near_m, far_m)
-        grey, inverse_range = to_grey(reference), (1.0 / far_m, 1.0 / near_m)
+        grey = to_grey(reference)
         volume = compute_cost_volume(
             grey,
             [to_grey(source) for source in sources],
@@ -72,16 +84,40 @@ class PlaneSweep:
             deviation=self.least_deviation,
         )
         total = smooth_costs(volume, grey, step=_STEP, jump=_JUMP, neutral=_NEUTRAL, contrast=_CONTRAST)
-        half = COSTS / 2.0
-        depth, confidence = select_depths(
-            volume,
-            total,
-            reference.valid,
-            *inverse_range,
-            half * (1.0 - self.least_score),
-            4.0 * half * self.least_margin,
+        return DepthMap(*select_depths(volume, total, reference.valid, *inverse_range, *self._limits()))
+
+    def _sweep_elsewhere(
+        self, reference: StereoImage, sources: Sequence[StereoImage], planes: Planes, inverse_range: tuple[float, float]
+    ) -> DepthMap:
+        """Sweep the planes in plain torch on the device."""
+        import torch
+
+        from hybridworldsim.mvs.plain.sweep import compute_cost_volume, select_depths, smooth_costs
+
+        def move(array: AnyArray) -> torch.Tensor:
+            return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+        grey = move(to_grey(reference))
+        volume = compute_cost_volume(
+            grey,
+            [move(to_grey(source)) for source in sources],
+            move(np.stack([planes.compute_homographies(reference, source) for source in sources])),
+            move(planes.compute_inverse_depth(reference.K)),
+            inverse_range,
+            self.planes,
+            best=min(self.best, len(sources)),
+            deviation=self.least_deviation,
         )
-        return DepthMap(depth, confidence)
+        total = smooth_costs(volume, grey, step=_STEP, jump=_JUMP, neutral=_NEUTRAL, contrast=_CONTRAST)
+        found = select_depths(volume, total, move(reference.valid), *inverse_range, *self._limits())
+        return DepthMap(*(part.cpu().numpy() for part in found))
+
+    def _limits(self) -> tuple[float, float]:
+        """Return the greatest cost of a known depth, and the least margin of its sum over the paths."""
+        from hybridworldsim.mvs.sweep.correlation import COSTS
+
+        half = COSTS / 2.0
+        return half * (1.0 - self.least_score), 4.0 * half * self.least_margin
 
     def _make_planes(
         self, reference: StereoImage, sources: Sequence[StereoImage], near_m: float, far_m: float

@@ -77,7 +77,8 @@ def initialise(
         version: version of the layers; None: the name of the split.
         options: the options; None: the defaults.
         withheld: images of training traversals that are not opened; their vehicle's poses still enter the ground.
-        device: where a learned method computes, as torch names it.
+        device: where depth is estimated and compared, and the sky found, as torch names it; ``sparse`` and the ground
+            are computed on the CPU.
         progress: receives the phases and their progress.
 
     Raises:
@@ -99,9 +100,9 @@ def initialise(
     layers = InitialisationLayers(view.layout, method, version or split, kinds, input_hashes)
     if all(layers.is_complete(traversal_id) for traversal_id in view.traversals()):
         # Nothing is written, so no lock is needed: parallel runs may share complete layers.
-        return _initialise_scenes(view, layers, chosen, estimator, withheld, reporter)
+        return _initialise_scenes(view, layers, chosen, estimator, withheld, device, reporter)
     with writing_layers(view.layout):
-        return _initialise_scenes(view, layers, chosen, estimator, withheld, reporter)
+        return _initialise_scenes(view, layers, chosen, estimator, withheld, device, reporter)
 
 
 def _hash_inputs(
@@ -146,6 +147,7 @@ def _initialise_scenes(
     options: InitialisationOptions,
     estimator: DepthEstimator | None,
     withheld: Set[ImageKey],
+    device: str,
     progress: ProgressReporter,
 ) -> InitialisationReport:
     """Initialise each scene that has incomplete layers."""
@@ -157,7 +159,7 @@ def _initialise_scenes(
         scene_view = view.where(scene=name)
         if set(scene_view.traversals()) <= set(kept):
             continue
-        scene = SceneInitialisation(scene_view, layers, options, withheld, progress)
+        scene = SceneInitialisation(scene_view, layers, options, withheld, progress, device)
         if estimator is None:
             clouds = scene.triangulate()
         else:

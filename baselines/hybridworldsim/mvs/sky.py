@@ -6,24 +6,15 @@ The evidence is weak (docs/initialisation.md has figures): a plain wall at the u
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
 
+from hybridworldsim.kernels.dispatch import runs_kernels
 from hybridworldsim.mvs.estimator import StereoImage
+from hybridworldsim.mvs.sky_rules import RULES
 from mirror.arrays import Bool, Float32, Float64, Int32
-
-_MIN_RISE: Final = 0.03
-_MAX_DEVIATION: Final = 2.0
-_COLOUR_DISTANCES: Final = (3.0, 22.0)
-_DARK_LIGHTNESS: Final = 20.0
-_COLOUR_DISTANCE_SHARE: Final = 0.2
-_BLUE_WEIGHT: Final = 6.0
-_LIGHTNESS_QUANTILE: Final = 0.6
-_MIN_BLUE: Final = 4.0
-_MIN_PART_PX: Final = 12
-_NEUTRAL: Final = 128.0
+from mirror.devices import CPU
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,18 +30,21 @@ class _Parts:
     lab: Float32
 
 
-def find_sky(image: StereoImage, depth_m: Float32) -> Bool:
+def find_sky(image: StereoImage, depth_m: Float32, device: str = CPU) -> Bool:
     """Find the pixels (H, W) that show the sky.
 
     Args:
         image: the image.
         depth_m: (H, W) depths that other images confirm, metres; NaN where unknown.
+        device: where it is computed, as torch names it: on the CPU by OpenCV, elsewhere in plain torch.
     """
-    open_sky = (compute_ray_rise(image) > _MIN_RISE) & image.valid & np.isnan(depth_m)
+    if not runs_kernels(device):
+        return _find_elsewhere(image, depth_m, device)
+    open_sky = (compute_ray_rise(image) > RULES.min_rise) & image.valid & np.isnan(depth_m)
     if not open_sky.any():
         return open_sky
     lab = _fill_invalid(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2LAB).astype(np.float32), image.valid)
-    parts = _find_parts(open_sky & (_compute_deviation(lab[..., 0]) < _MAX_DEVIATION), lab, image.valid)
+    parts = _find_parts(open_sky & (_compute_deviation(lab[..., 0]) < RULES.max_deviation), lab, image.valid)
     chosen = _select_sky_parts(parts, lab[image.valid, 0])
     seeds = np.isin(parts.number, chosen)
     if not seeds.any():
@@ -59,6 +53,17 @@ def find_sky(image: StereoImage, depth_m: Float32) -> Bool:
         np.linalg.norm(lab - _smooth_seed_colour(lab, seeds), axis=2) < _max_colour_distance(lab[seeds, 0].mean())
     )
     return _keep_seeded_parts(similar | seeds, seeds)
+
+
+def _find_elsewhere(image: StereoImage, depth_m: Float32, device: str) -> Bool:
+    """Find the sky in plain torch."""
+    import torch
+
+    from hybridworldsim.mvs.plain.sky import find_sky as find_plainly
+
+    arrays = image.rgb, image.valid, depth_m, compute_ray_rise(image)
+    found = find_plainly(*(torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in arrays))
+    return np.asarray(found.cpu().numpy())
 
 
 def compute_ray_rise(image: StereoImage) -> Float64:
@@ -90,7 +95,7 @@ def _find_parts(smooth: Bool, lab: Float32, valid: Bool) -> _Parts:
     columns = np.flatnonzero(valid.any(axis=0))
     rim = np.bincount(number[np.argmax(valid, axis=0)[columns], columns], minlength=count)
     size = np.bincount(number.ravel(), minlength=count)
-    kept = (rim > 0) & (size >= _MIN_PART_PX)
+    kept = (rim > 0) & (size >= RULES.min_part_px)
     kept[0] = False
     label = np.cumsum(kept) * kept
     number = label[number].astype(np.int32)
@@ -102,10 +107,10 @@ def _select_sky_parts(parts: _Parts, lightness: Float32) -> Int32:
     """Select the parts in the colour of the best one; a sky is light, or blue in the dark."""
     if not len(parts.lab):
         return np.empty(0, np.int32)
-    blue = _NEUTRAL - parts.lab[:, 2]
-    score = parts.lab[:, 0] + _BLUE_WEIGHT * blue
+    blue = RULES.neutral - parts.lab[:, 2]
+    score = parts.lab[:, 0] + RULES.blue_weight * blue
     best = int(np.argmax(score))
-    if parts.lab[best, 0] < np.quantile(lightness, _LIGHTNESS_QUANTILE) and blue[best] < _MIN_BLUE:
+    if parts.lab[best, 0] < np.quantile(lightness, RULES.lightness_quantile) and blue[best] < RULES.min_blue:
         return np.empty(0, np.int32)
     similar = np.linalg.norm(parts.lab - parts.lab[best], axis=1) < 2.0 * _max_colour_distance(parts.lab[best, 0])
     return (np.flatnonzero(similar) + 1).astype(np.int32)
@@ -113,7 +118,7 @@ def _select_sky_parts(parts: _Parts, lightness: Float32) -> Int32:
 
 def _max_colour_distance(lightness: float) -> float:
     """Compute the greatest colour distance within one sky; dark colours lie closer together."""
-    return float(np.clip(_COLOUR_DISTANCE_SHARE * (lightness - _DARK_LIGHTNESS), *_COLOUR_DISTANCES))
+    return float(np.clip(RULES.colour_distance_share * (lightness - RULES.dark_lightness), *RULES.colour_distances))
 
 
 def _smooth_seed_colour(lab: Float32, seeds: Bool) -> Float32:

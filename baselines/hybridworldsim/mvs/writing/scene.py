@@ -25,6 +25,7 @@ from mirror.arrays import AnyArray, Bool, Float32, Float64
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.depth_codec import decode_depth, encode_depth
+from mirror.devices import CPU
 from mirror.errors import DatasetError
 from mirror.methods.training_images import ImageKey
 from mirror.progress import ProgressReporter
@@ -62,6 +63,7 @@ class SceneInitialisation:
         options: the options.
         withheld: images that are not opened.
         progress: receives the phases and their progress.
+        device: where depth maps are compared and the sky is found, as torch names it.
 
     Attributes:
         counts: number of points written, by kind.
@@ -74,8 +76,9 @@ class SceneInitialisation:
         options: InitialisationOptions,
         withheld: Set[ImageKey],
         progress: ProgressReporter,
+        device: str = CPU,
     ) -> None:
-        self._layers, self._options, self._progress = layers, options, progress
+        self._layers, self._options, self._progress, self._device = layers, options, progress, device
         self._images = list_posed_images(view, options.pixels, withheld, options.standing_m)
         self._stereo_images = StereoImageCache(self._images, options.pixels)
         self._sources = choose_sources(self._images, max(options.sources, options.held_against))
@@ -146,7 +149,7 @@ class SceneInitialisation:
                     {**_make_key(posed), **_lens_columns(posed), **depth.file(_file_name(posed), encode_depth(depth_m))}
                 )
             if masks is not None:
-                mask = _distort_mask(find_sky(image, depth_m), posed)
+                mask = _distort_mask(find_sky(image, depth_m, self._device), posed)
                 mask_rows.append(
                     {**_make_key(posed), "kind": "sky", **masks.file(_file_name(posed), _encode_png(mask))}
                 )
@@ -196,9 +199,8 @@ class SceneInitialisation:
         others = [
             self._read_posed_depth(other) for other in self._sources[number][: self._options.held_against].tolist()
         ]
-        return confirm(
-            self._drop_below_ground(self._read_posed_depth(number)), others, max_share=self._options.agree_share
-        )
+        own = self._drop_below_ground(self._read_posed_depth(number))
+        return confirm(own, others, max_share=self._options.agree_share, device=self._device)
 
     def _drop_below_ground(self, posed: PosedDepth) -> PosedDepth:
         """Remove depths below the ground: reflections in a wet road agree in all images."""

@@ -23,6 +23,8 @@ _READERS: Final = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs",
 """Packages that fsspec needs to read URLs, by scheme."""
 
 _REMOTE_REQUESTS: Final = 16
+S3_OPTIONS: Final = {"max_concurrency": 1}
+"""Options of the file system for S3: with several ranges at a time, reading an object asks for its size first."""
 _PIECE: Final = 1 << 20
 _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
 
@@ -74,7 +76,7 @@ class Store:
         head, chained, tail = self.root.partition("::")
         url = f"{head}://::{tail}" if chained and "://" not in head else self.root
         try:
-            filesystem, base = fsspec.core.url_to_fs(url)
+            filesystem, base = fsspec.core.url_to_fs(url, **_options(url))
         except (ImportError, ValueError) as error:
             # The message of fsspec names the missing package or the unknown protocol.
             raise UsageError(
@@ -186,7 +188,10 @@ class Store:
             if self.folder is not None:
                 with os.scandir(require_inside(self.folder, path)) as entries:
                     return sorted(entry.name for entry in entries if entry.is_dir() == folders)
-            listed = self._remote[0].ls(self._remote_path(path), detail=True)
+            full = self._remote_path(path)
+            # Others may have written since the file system listed it last.
+            self._remote[0].invalidate_cache(full)
+            listed = self._remote[0].ls(full, detail=True)
         except (FileNotFoundError, NotADirectoryError):
             return []
         return sorted(
@@ -272,7 +277,7 @@ class Store:
             import fsspec
 
             try:
-                filesystem, path = fsspec.core.url_to_fs(uri)
+                filesystem, path = fsspec.core.url_to_fs(uri, **_options(uri))
             except (ImportError, ValueError) as error:
                 raise DatasetError(
                     f"this uri cannot be opened: {error}",
@@ -324,6 +329,10 @@ def unreadable_error(file: str, error: BaseException) -> SchemaError:
         expected="a complete Parquet file",
         remedy=_REMEDY,
     )
+
+
+def _options(url: str) -> dict[str, Any]:
+    return S3_OPTIONS if url.startswith("s3://") else {}
 
 
 def _install_hint(url: str) -> str:

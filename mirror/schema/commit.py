@@ -20,6 +20,10 @@ from mirror.schema.files import temporary_path, unwritable_error
 
 _NO_LINKS: Final = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EXDEV, errno.EMLINK, errno.ENOSYS)
 _PIECE: Final = 1 << 20
+_REMEDY: Final = (
+    "let the other run end. If none is running, an interrupted one of other input or options left it: "
+    "`mirror ingest` with --replace replaces it"
+)
 
 
 class ConflictError(DatasetError):
@@ -100,13 +104,24 @@ def commit_folder(source: Path, folder: Path, last: str) -> None:
         ConflictError: a file exists with other bytes.
         UnwritableError: a file cannot be written.
     """
-    for name in sorted(_files(source)):
+    for name in sorted(files_below(source)):
         if name != last:
             commit_file(source / name, folder / name)
     commit_file(source / last, folder / last)
 
 
-def _files(folder: Path) -> Iterator[str]:
+def conflict_error(file: str | Path, mine: str, theirs: str, remedy: str) -> ConflictError:
+    """Make the error for a name that has other bytes; it names both by their SHA-256 in hexadecimal."""
+    return ConflictError(
+        f"the file is there with other bytes, of SHA-256 {theirs}",
+        file=file,
+        expected=f"the bytes that this run made, of SHA-256 {mine}",
+        remedy=remedy,
+    )
+
+
+def files_below(folder: Path) -> Iterator[str]:
+    """Yield the paths of all files of a folder, relative to it, with ``/``."""
     for at, _, names in os.walk(folder):
         below = Path(at).relative_to(folder)
         yield from ((below / name).as_posix() for name in names)
@@ -128,13 +143,7 @@ def _require_equal(source: Path, path: Path) -> None:
         return
     mine, theirs = _sha256(source), _sha256(path)
     if mine != theirs:
-        raise ConflictError(
-            f"the file is there with other bytes, of SHA-256 {theirs}",
-            file=path,
-            expected=f"the bytes that this run made, of SHA-256 {mine}",
-            remedy="let the other run end. If none is running, an interrupted one of other input or options left it: "
-            "`mirror ingest` with --replace replaces it",
-        )
+        raise conflict_error(path, mine, theirs, _REMEDY)
 
 
 def _sha256(path: Path) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from mirror.dataset.destination import Destination, FolderDestination
 from mirror.dataset.generation import recover, release
 from mirror.dataset.index.inputs import IndexInputs, read_inputs
 from mirror.dataset.index.segment import is_segment_intact, write_segment
@@ -134,7 +135,7 @@ def build_index(
 
     segment = write_segment(layout, part, add, repair=True)
     put_snapshot(
-        layout,
+        FolderDestination(layout.root),
         segment,
         without_segments=known if is_whole else frozenset(),
         without_drives=changes.without_drives,
@@ -147,13 +148,16 @@ def build_index(
     return _report(layout, tuple(sorted(written)), kept, start)
 
 
-def append_drives(layout: Layout, drives: Collection[str], found: Collection[str] = ()) -> int:
+def append_drives(
+    layout: Layout, drives: Collection[str], found: Collection[str] = (), *, destination: Destination | None = None
+) -> int:
     """Add new drives to the index, and the scenes that it does not have. No other drive is opened, and no lock is held.
 
     Args:
-        layout: the dataset.
+        layout: the dataset; or a folder that has the drives, laid out like a dataset.
         drives: complete drives that this run committed.
         found: complete drives that it found: they are added if an interrupted run did not put its snapshot.
+        destination: the dataset, if it is not the folder.
 
     Returns:
         The number of the newest snapshot.
@@ -162,21 +166,24 @@ def append_drives(layout: Layout, drives: Collection[str], found: Collection[str
         DatasetError: a file is missing or differs from the one in a manifest, or the index cannot be written.
         SchemaError: a file is broken.
     """
-    store = Store(layout.root)
+    place = FolderDestination(layout.root) if destination is None else destination
+    store = place.store
     numbers = list_snapshots(store)
     known = read_snapshot(store, numbers[-1]) if numbers else None
     known_drives = {} if known is None else known.drives
-    inputs = read_inputs(store, {*drives, *(drive_id for drive_id in found if drive_id not in known_drives)})
+    inputs = read_inputs(
+        Store(layout.root), {*drives, *(drive_id for drive_id in found if drive_id not in known_drives)}
+    )
     have = frozenset() if known is None else frozenset(known.scenes)
     part = inputs.part(inputs.drives, inputs.scenes.keys() - have)
     if known is not None and not part.drives and not part.scenes:
         return numbers[-1]
     try:
-        return put_snapshot(layout, write_segment(layout, part))
+        return put_snapshot(place, write_segment(layout, part, destination=place))
     except ConflictError as error:
         raise DatasetError(
             "a segment of the index is damaged", file=error.file, expected="the file that its manifest names",
-            remedy=f"run `mirror index {layout.root}`, which also adds the drives of this run",
+            remedy=f"run `mirror index {store.root}`, which also adds the drives of this run",
         ) from error  # fmt: skip
 
 

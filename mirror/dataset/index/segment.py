@@ -9,13 +9,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from mirror.dataset.destination import Destination, FolderDestination
 from mirror.dataset.index.global_tables import accepted_passes, encode_global, read_passes, rows_to_table
 from mirror.dataset.index.inputs import IndexInputs
 from mirror.dataset.index.scene_tables import write_scene_tables
 from mirror.dataset.index.traversal_table import TraversalTable
 from mirror.dataset.layout import MANIFEST, Layout, is_intact
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
-from mirror.schema.commit import ConflictError, commit_folder
+from mirror.schema.commit import ConflictError
 from mirror.schema.documents import FileEntry, Manifest
 from mirror.schema.files import sha256_bytes, unwritable_error, write_bytes, write_json
 from mirror.schema.index_tables import ROW_GROUPS, TRAVERSALS
@@ -26,7 +27,12 @@ _NAME_DIGITS: Final = 16
 
 
 def write_segment(
-    layout: Layout, inputs: IndexInputs, add: Callable[[], None] = lambda: None, *, repair: bool = False
+    layout: Layout,
+    inputs: IndexInputs,
+    add: Callable[[], None] = lambda: None,
+    *,
+    repair: bool = False,
+    destination: Destination | None = None,
 ) -> IndexSegment:
     """Derive the tables of some drives and scenes, and commit them as a segment.
 
@@ -34,9 +40,10 @@ def write_segment(
     another writer counts as done.
 
     Args:
-        layout: the dataset.
+        layout: a folder with those drives, in which the tables are made.
         inputs: of those drives and scenes.
         add: called after each traversal.
+        destination: where the segment is committed; None: in the folder.
         repair: make an equal segment again whose files were damaged; the caller holds the dataset's writer lock.
 
     Raises:
@@ -44,6 +51,7 @@ def write_segment(
         DatasetError: a file is missing or differs from the one in a manifest, or the dataset cannot be written.
         SchemaError: a file is broken or has another schema version.
     """
+    place = FolderDestination(layout.root) if destination is None else destination
     for abandoned in abandoned_folders(layout.index, WORK):
         shutil.rmtree(abandoned, ignore_errors=True)
     passes = read_passes(layout, inputs)
@@ -89,12 +97,12 @@ def write_segment(
             scenes=tuple(sorted(inputs.scenes)),
         )
         try:
-            commit_folder(work.path, layout.segment(segment.name), MANIFEST)
+            place.commit_folder(work.path, f"index/{segment.name}", MANIFEST)
         except ConflictError:
             if not repair:
                 raise
             shutil.rmtree(layout.segment(segment.name))
-            commit_folder(work.path, layout.segment(segment.name), MANIFEST)
+            place.commit_folder(work.path, f"index/{segment.name}", MANIFEST)
         return segment
     finally:
         work.remove()

@@ -10,10 +10,11 @@ import json
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from mirror.dataset.destination import Destination
 from mirror.dataset.layout import Layout
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
-from mirror.schema.commit import ConflictError, commit_bytes
+from mirror.schema.commit import ConflictError
 from mirror.schema.files import parse_json, sha256_bytes
 from mirror.schema.snapshot import (
     SNAPSHOTS,
@@ -101,7 +102,7 @@ def read_state(store: Store) -> IndexState | None:
 
 
 def put_snapshot(
-    layout: Layout,
+    destination: Destination,
     segment: IndexSegment | None,
     *,
     without_segments: Collection[str] = (),
@@ -112,7 +113,7 @@ def put_snapshot(
     """Put the next snapshot: the newest one with a segment more, and without what the segment replaces.
 
     Args:
-        layout: the dataset.
+        destination: the dataset.
         segment: what is added; None: nothing.
         without_segments: names of segments that are replaced as a whole.
         without_drives: drives that the dataset no longer has.
@@ -127,7 +128,7 @@ def put_snapshot(
     """
     drives = {*without_drives, *(() if segment is None else segment.drives)}
     scenes = {*without_scenes, *(() if segment is None else segment.scenes)}
-    store = Store(layout.root)
+    store = destination.store
     while True:
         number, before = _newest(store)
         kept = [
@@ -140,7 +141,7 @@ def put_snapshot(
             return number
         after = IndexSnapshot(oldest=number + 1 if loses_rows or not number else before.oldest, segments=segments)
         try:
-            commit_bytes(layout.root / snapshot_path(number + 1), encode_snapshot(after))
+            destination.commit_bytes(snapshot_path(number + 1), encode_snapshot(after))
         except ConflictError:
             # Another writer was first: its snapshot is the one to build on.
             continue

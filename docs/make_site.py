@@ -6,6 +6,7 @@ the Python names are made from the code. Zensical builds them by mkdocs.yml; a l
 
 from __future__ import annotations
 
+import csv
 import importlib
 import inspect
 import io
@@ -21,6 +22,8 @@ from typing import Final
 ROOT: Final = Path(__file__).resolve().parents[1]
 SOURCES: Final = ROOT / "build" / "docs"
 """The folder of the pages that Zensical reads; mkdocs.yml names it."""
+STUDIES: Final = ROOT / "benchmarks" / "studies"
+"""The folder of studies: their READMEs, reports and figures by seed are pages of results."""
 PACKAGES: Final = (
     "mirror",
     "mirror.dataset",
@@ -55,19 +58,42 @@ def write_sources(out: Path) -> list[Path]:
     shutil.copytree(ROOT / "docs" / "images", out / "images")
     pages = {path: out / path.relative_to(ROOT / "docs") for path in sorted((ROOT / "docs").rglob("*.md"))}
     pages[ROOT / "README.md"] = out / "index.md"
+    for folder in sorted(path.parent for path in STUDIES.glob("*/README.md")):
+        pages[folder / "README.md"] = out / "results" / f"{folder.name}.md"
+        if (folder / "report.md").is_file():
+            pages[folder / "report.md"] = out / "results" / f"{folder.name}-report.md"
+        if (folder / "seeds.csv").is_file():
+            pages[folder / "seeds.csv"] = out / "results" / f"{folder.name}-seeds.md"
     pages[ROOT / "CHANGELOG.md"] = out / "changelog.md"
     pages[ROOT / "CONTRIBUTING.md"] = out / "contributing.md"
     pages[ROOT / "SECURITY.md"] = out / "security.md"
     for source, page in pages.items():
         page.parent.mkdir(parents=True, exist_ok=True)
-        page.write_text(_rewrite_links(source, pages, out))
+        text = describe_figures(source) if source.suffix == ".csv" else source.read_text()
+        page.write_text(_rewrite_links(text, source, pages, out))
     commands, names = out / "reference" / "command-line.md", out / "reference" / "python.md"
     commands.write_text(describe_commands())
     names.write_text(describe_names())
     return [*pages.values(), commands, names]
 
 
-def _rewrite_links(source: Path, pages: dict[Path, Path], out: Path) -> str:
+def describe_figures(file: Path) -> str:
+    """Describe the figures of a study by seed: its CSV as a table."""
+    rows = list(csv.reader(file.open(newline="")))
+    name = file.parent.name
+    lines = [
+        f"# Figures by seed: {name.replace('_', ' ')}",
+        "",
+        f"This page is the file benchmarks/studies/{name}/{file.name}, for those who compute with the figures of",
+        "[the study](README.md).",
+        "",
+        *("| " + " | ".join(cell.replace("*", "\\*") for cell in row) + " |" for row in rows),
+    ]
+    lines.insert(6, "|---" * len(rows[0]) + "|")
+    return "\n".join(lines) + "\n"
+
+
+def _rewrite_links(text: str, source: Path, pages: dict[Path, Path], out: Path) -> str:
     """Return a page whose links lead to pages of the site; other files of the repository are copied into the site."""
 
     def rewrite(found: re.Match[str]) -> str:
@@ -83,7 +109,7 @@ def _rewrite_links(source: Path, pages: dict[Path, Path], out: Path) -> str:
             copy, heading = _copy_file(target, out), None
         return f"{opening}{os.path.relpath(copy, pages[source].parent)}{heading or ''}{closing}"
 
-    return _LINK.sub(rewrite, source.read_text())
+    return _LINK.sub(rewrite, text)
 
 
 def _copy_file(target: Path, out: Path) -> Path:

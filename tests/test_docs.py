@@ -76,13 +76,6 @@ def test_the_architecture_names_every_package() -> None:
 
 GENERATED = ("metrics.md", "rules.md", "schema.md")
 WITHOUT_LIMITS = ("architecture.md", "conventions.md", "glossary.md", "performance.md", "results.md", "threat-model.md")
-TOO_LONG = (
-    "generation.md",
-    "rasterizer.md",
-    "reconstruction.md",
-    "simulation.md",
-)
-"""Pages that are still to be split."""
 
 
 @pytest.mark.parametrize("document", PAGES, ids=name_page)
@@ -99,8 +92,22 @@ def test_a_page_begins_with_a_sentence_and_says_what_does_not_work(document: Pat
         # The table of a format says what of it is lost.
         limits = r"^(## (What does not work|What it cannot do|Limits)$|\| lost \|)"
         assert re.search(limits, text, re.M), "no section of limits"
-    if document.name not in (*GENERATED, *TOO_LONG):
+    if document.name not in GENERATED:
         assert count_prose(text) <= 1500, "split the page by ideas, and move a study to its folder"
+
+
+@pytest.mark.parametrize("study", sorted((ROOT / "benchmarks" / "studies").glob("*/benchmark.py")), ids=name_page)
+def test_a_study_says_in_600_words_what_was_asked_found_and_where_it_loses(study: Path) -> None:
+    text = study.with_name("README.md").read_text()
+    assert len(text.split()) <= 600
+    assert text.startswith("# Study of ") and re.search(r"^This study asks ", text, re.M)
+    for part in ("**Question.**", "**Found.**", "**Repeat it.**"):
+        assert part in text, part
+    assert "**Where we lose.**" in text or "**Where it fails.**" in text
+    assert len(re.findall(r"^\|---", text, re.M)) == 1, "one table; others stand in report.md"
+    # Each image has a caption in italics, with its command.
+    for caption in re.findall(r"^!\[.+\]\(.+\)\n\n(.*?)\n\n", text, re.M | re.S):
+        assert re.fullmatch(r"\*[^*].*\*", caption, re.S), caption
 
 
 def count_prose(text: str) -> int:
@@ -115,7 +122,7 @@ def test_figures_of_the_readme_are_those_of_the_pages() -> None:
     readme = (ROOT / "README.md").read_text()
     table = readme.split("| capability |")[1].split("\n\n")[0].splitlines()[2:]
     performance = (ROOT / "docs" / "performance.md").read_text().splitlines()
-    study = (ROOT / "benchmarks" / "studies" / "static_reconstruction" / "README.md").read_text()
+    study = (ROOT / "benchmarks" / "studies" / "static_reconstruction" / "report.md").read_text()
     assert len(table) >= 8
     checked = 0
     for row in table:

@@ -101,8 +101,8 @@ def reconstruct(dataset: Dataset, out: Path, *more: object) -> tuple[object, ...
 
 
 def driven_as_documented(dataset: Dataset, model: Path) -> dict[str, Any]:
-    """Return what the example of docs/reconstruction.md leaves behind."""
-    text = (Path(__file__).parents[2] / "docs" / "reconstruction.md").read_text()
+    """Return what the example of docs/reconstruction/render.md leaves behind."""
+    text = (Path(__file__).parents[2] / "docs" / "reconstruction" / "render.md").read_text()
     code = text.partition("## From Python")[2].partition("```python\n")[2].partition("```")[0]
     for word, meant in (("DATASET", dataset.root), ("MODEL", model), ("night", "day")):
         assert code.count(f'"{word}"') == 1

@@ -1,4 +1,4 @@
-"""The Python of docs/simulation.md runs; walls of the street that it opens."""
+"""The Python of docs/simulation.md and docs/simulation/policies.md runs; walls of the street that it opens."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from hybridworldsim.simulator.street.opening import open_street
 from mirror.errors import UsageError
 from tests.simulator.streets import scenario, straight_street
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "simulation.md"
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+TEXT = (DOCS / "simulation.md").read_text() + (DOCS / "simulation" / "policies.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.S)
 
 
 def test_a_drive_takes_ten_lines(capsys: pytest.CaptureFixture[str]) -> None:

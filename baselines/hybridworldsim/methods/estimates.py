@@ -11,7 +11,7 @@ from mirror.methods.plugin import ReconstructionTask
 
 _PER_GAUSSIAN: Final = 330
 _PER_PIXEL: Final = 115
-"""Bytes of the CPU rasterizer with gradients, docs/rasterizer.md."""
+"""Bytes of the CPU rasterizer with gradients, docs/rasterizer/speed.md."""
 _LIBRARIES: Final = 600 << 20
 """Bytes of torch, numba and their code."""
 _PER_DECODED: Final = 600

@@ -19,7 +19,7 @@ class Arguments:
     """The study that `experiment.toml` declares. Every stage resumes where it was interrupted.
 
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
-    docs/simulation.md. sheets: images of the same drives in all worlds that are made. The records can be committed
+    report.md. sheets: images of the same drives in all worlds that are made. The records can be committed
     at any time, and the run continues from them on another machine: what is missing there is made again when a
     stage needs it. Processes may run different stages side by side.
     """
@@ -35,7 +35,7 @@ class Arguments:
     hours: float | None = None
     """Core-hours after which no stage is begun. None: the declaration's."""
     check: bool = False
-    """Of report: change nothing, and fail if docs/simulation.md has other tables."""
+    """Of report: change nothing, and fail if report.md has other tables."""
 
 
 def main(argv: Sequence[str]) -> int:

@@ -1,4 +1,4 @@
-"""The report of the study: a section of docs/simulation.md."""
+"""The report of the study: a section of report.md."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from benchmarks.studies.closed_loop.streets import LIGHTS
 from benchmarks.studies.closed_loop.study import PILOT, Study
 from benchmarks.studies.page import replace_section
 
-PAGE: Final = Path(__file__).parents[3] / "docs" / "simulation.md"
+PAGE: Final = Path(__file__).with_name("report.md")
 BEGIN: Final = "<!-- closed loop study: written by `python -m benchmarks closed_loop report` -->"
 END: Final = "<!-- closed loop study: end -->"
 CEILING: Final = "exact-again"
@@ -100,7 +100,7 @@ def _agreement(study: Study) -> Iterator[str]:
         if not own:
             yield f"| {_NAMES.get(world, world)} | 0 | - | - | - | not run |"
             continue
-        true, found = (_collect(study, one, own) for one in (EXACT, world))
+        true, found = (collect_rollouts(study, one, own) for one in (EXACT, world))
         figures = compare(true, found)
         ends = intervals(true, found, int(settings["resamples"]), float(settings["level"]))
         if world == CEILING:
@@ -147,7 +147,7 @@ def _lights(study: Study) -> Iterator[str]:
                 seed for seed in _complete_seeds(study, world) if all(c.light == light for c in study.cases([seed]))
             ]
             if seeds:
-                figures = compare(*(_collect(study, one, seeds) for one in (EXACT, world)))
+                figures = compare(*(collect_rollouts(study, one, seeds) for one in (EXACT, world)))
                 cells = [_number(figures[name]) for name in (*_SCORED, "ttc_abs_s", "offset_abs_m", "lead_abs_m")]
                 rows.append(f"| {light}, {_NAMES.get(world, world)} | {' | '.join(cells)} |")
     if rows:
@@ -186,7 +186,7 @@ def _policies(study: Study) -> Iterator[str]:
     if not seeds or not networks:
         return
     names = list(study.declaration.policies)
-    collected = {world: _collect(study, world, seeds) for world in worlds}
+    collected = {world: collect_rollouts(study, world, seeds) for world in worlds}
     exact = collected[EXACT]
     yield (
         "| policy | error on held-out images: offset, m; lead, m | collisions, % | off road, % | score, exact | "
@@ -223,7 +223,8 @@ def _complete_seeds(study: Study, world: str) -> list[int]:
     ]
 
 
-def _collect(study: Study, world: str, seeds: Sequence[int]) -> Rollouts:
+def collect_rollouts(study: Study, world: str, seeds: Sequence[int]) -> Rollouts:
+    """Return the rollouts of all policies and scenarios in a world, with some seeds."""
     names, scenarios = list(study.declaration.policies), study.declaration.scenarios["names"]
 
     def column(key: str) -> np.ndarray:

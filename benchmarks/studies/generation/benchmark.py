@@ -19,7 +19,7 @@ class Arguments:
     """The study that `experiment.toml` declares. Every stage resumes where it was interrupted.
 
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
-    docs/generation.md and sheets of images. publish: the figures of finished stages into outcomes.jsonl, so that the
+    report.md and sheets of images. publish: the figures of finished stages into outcomes.jsonl, so that the
     report shows them without the folder. crops: the distance of crops by class and drive. fid: FID and FVD of finished
     rollouts, where their weights are there. clips, judges: these stages alone; clips --map: clips with the lines of the
     map in the folder clips-with-maps, which are no part of the study. end-to-end: the addition that `end_to_end.toml`
@@ -39,7 +39,7 @@ class Arguments:
     map: bool = False
     """Of clips: make clips with the lines of the map, for `mirror generate train --map`."""
     check: bool = False
-    """Of report: change nothing, and fail if docs/generation.md has other tables."""
+    """Of report: change nothing, and fail if report.md has other tables."""
 
 
 def main(argv: Sequence[str]) -> int:

@@ -1,4 +1,4 @@
-"""The report of the study: tables for docs/generation.md."""
+"""The report of the study: tables for report.md."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from benchmarks.studies.generation.stages import list_stages
 from benchmarks.studies.generation.study import Study
 from benchmarks.studies.page import replace_section
 
-PAGE: Final = Path(__file__).parents[3] / "docs" / "generation.md"
+PAGE: Final = Path(__file__).with_name("report.md")
 BEGIN: Final = "<!-- generation study: written by `python -m benchmarks generation report` -->"
 END: Final = "<!-- generation study: end -->"
 

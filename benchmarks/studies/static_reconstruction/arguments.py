@@ -27,7 +27,7 @@ class Arguments:
     """tune: the same grid of settings for all methods, on a street of its own; prepare: recordings, dataset, layers;
     run: train and score; show: tables of finished jobs; settings: all settings of each row; publish: write the records
     into outcomes.jsonl; truth: compare trained models with exact truth; figures: sheets of renders and curves of
-    budgets; report: bring the tables of README.md up to date with outcomes.jsonl."""
+    budgets; report: bring the tables of report.md up to date with outcomes.jsonl."""
     data: Path = OUT / "reconstruction"
     """Working folder: scenes, models and one file for each finished job."""
     published: bool = False
@@ -52,7 +52,7 @@ class Arguments:
     jobs: int = 2
     """Side by side, each on one core."""
     out: Path = STUDY
-    """Folder of the published study: outcomes.jsonl, README.md, images."""
+    """Folder of the published study: outcomes.jsonl, report.md, images."""
 
     @property
     def outcomes(self) -> Path:

@@ -1,4 +1,4 @@
-"""The tables of the study's report, README.md, which are generated from the published records.
+"""The tables of the study's report, report.md, which are generated from the published records.
 
 A table stands between ``<!-- begin: COMMAND -->`` and ``<!-- end -->``. A command is one of `TABLES` and its words,
 mostly a group of rows.

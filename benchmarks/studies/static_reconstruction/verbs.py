@@ -157,8 +157,8 @@ def _figures(arguments: Arguments, declaration: Declaration) -> int:
 
 
 def _report(arguments: Arguments, declaration: Declaration) -> int:
-    write_report(arguments.out / "README.md", arguments.outcomes)
-    print(arguments.out / "README.md")
+    write_report(arguments.out / "report.md", arguments.outcomes)
+    print(arguments.out / "report.md")
     return ExitCode.DONE
 
 

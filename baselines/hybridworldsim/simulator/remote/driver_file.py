@@ -55,5 +55,5 @@ def read_driver_file(path: Path) -> DriverFile:
         raise SchemaError(
             describe_problem_and_value(first), file=path,
             place=".".join(str(part) for part in first["loc"]) or None,
-            expected="a driver's file as docs/simulation.md describes it",
+            expected="a driver's file as docs/simulation/policies.md describes it",
         ) from error  # fmt: skip

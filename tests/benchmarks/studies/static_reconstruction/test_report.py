@@ -19,7 +19,7 @@ from benchmarks.studies.static_reconstruction.verbs import VERBS
 from mirror.errors import DatasetError, SchemaError
 
 STUDY = Arguments(published=True)
-REPORT = STUDY.out / "README.md"
+REPORT = STUDY.out / "report.md"
 
 
 PUBLISHED = {Job(**outcome["job"]) for outcome in read_records(STUDY.outcomes).outcomes}
@@ -71,7 +71,7 @@ def test_the_repeated_campaign_is_shown_apart(capsys: pytest.CaptureFixture[str]
 def test_the_verb_updates_a_stale_report(tmp_path: Path) -> None:
     arguments = Arguments("report", out=tmp_path)
     shutil.copy(STUDY.outcomes, arguments.outcomes)
-    report, text = tmp_path / "README.md", REPORT.read_text()
+    report, text = tmp_path / "report.md", REPORT.read_text()
     report.write_text(text.replace("31.40", "99.99"))
     assert report.read_text() != text
     assert VERBS["report"](arguments, load_declaration()) == 0

@@ -1,6 +1,7 @@
 """Finds the sky of an image without a network: smooth parts above the horizon at the upper rim, in the colour of a sky.
 
-The evidence is weak (docs/initialisation.md has figures): a plain wall at the upper rim of an image satisfies it too.
+The evidence is weak (docs/initialisation/accuracy.md has figures): a plain wall at the upper rim of an image
+satisfies it too.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ _EXTRAS: Final = {
     "safetensors": "models", "diffusers": "generation", "gymnasium": "simulator", "grpc": "simulator",
     "google": "simulator", "av": "video", "matplotlib": "view", "rerun": "view", "viser": "view", "duckdb": "sql",
     "pycolmap": "calibration", "onnxruntime": "privacy", "PIL": "privacy", "mcap": "mcap", "gsplat": "baselines",
-    "cryptography": "leaderboard", "aiohttp": "http", "s3fs": "s3",
+    "cryptography": "leaderboard", "aiohttp": "http", "s3fs": "s3", "ray": "cluster",
 }  # fmt: skip
 """The extra that brings a package, by the package's import name; of some verbs, the extra that brings all they need."""
 

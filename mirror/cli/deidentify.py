@@ -107,7 +107,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _options(arguments: Arguments) -> DeidentifyOptions:
-    from mirror.dataset.images.decoding import usable_cores
+    from mirror.pools import usable_cores
     from mirror.privacy.detectors.registry import default_choices, parse_choice
     from mirror.privacy.operators import Redaction
     from mirror.privacy.options import DeidentifyOptions, Propagation, SkipRules

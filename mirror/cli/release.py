@@ -151,7 +151,7 @@ def main(argv: Sequence[str]) -> int:
 def _check(words: Sequence[str]) -> int:
     arguments = parse_arguments(CheckArguments, words, "mirror release check", examples=_CHECK)
 
-    from mirror.dataset.images.decoding import usable_cores
+    from mirror.pools import usable_cores
     from mirror.privacy.detectors.registry import parse_choice
     from mirror.privacy.release.check import check_release
     from mirror.progress import progress_bar

@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.images.decoding import usable_cores
 from mirror.errors import UsageError
 from mirror.export.document import MANIFEST, UNFINISHED, ExportDocument, ExportRequest
 from mirror.export.files import encode_image, place_image
@@ -20,7 +19,7 @@ from mirror.export.layout import ExportLayout, Written
 from mirror.export.leaving import ExportDoor
 from mirror.export.lenses import require_lenses
 from mirror.export.scene import ExportImage, ExportScene, select_scene
-from mirror.pools import thread_pool
+from mirror.pools import thread_pool, usable_cores
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.csv_files import Cell, encode_csv
 from mirror.schema.documents import FileEntry

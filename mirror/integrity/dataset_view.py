@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from mirror.dataset.images.decoding import usable_cores
 from mirror.dataset.index.build import find_changes
 from mirror.dataset.index.inputs import IndexInputs, read_inputs, read_rois
 from mirror.dataset.index.snapshots import IndexState, list_snapshots, read_state
@@ -22,7 +21,7 @@ from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.integrity.rows import TablePart, TableRows
-from mirror.pools import thread_pool
+from mirror.pools import thread_pool, usable_cores
 from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, Manifest, Rig, Roi, SplitDocument
 from mirror.schema.files import Model, read_json, read_table

@@ -12,12 +12,12 @@ from typing import Final, TypeVar
 import numpy as np
 
 from mirror.arrays import Bool, Int64, UInt8
-from mirror.dataset.images.decoding import decode_rgb, usable_cores
+from mirror.dataset.images.decoding import decode_rgb
 from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.store import Store
 from mirror.errors import MirrorError
 from mirror.integrity.rows import TableRows
-from mirror.pools import thread_pool
+from mirror.pools import thread_pool, usable_cores
 from mirror.recordings.raster import TAIL_BYTES, has_end_marker
 
 MISSING: Final = -1

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Self
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +19,9 @@ from mirror.dataset.images.metadata import read_orientation
 from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError
-from mirror.guarded import Failure, GuardedPool
+from mirror.executors.executor import Executor
+from mirror.executors.job import Failure, ParallelJob
+from mirror.executors.processes import ProcessesExecutor
 from mirror.privacy.detectors.protocol import Detector, TiledDetector
 from mirror.privacy.detectors.registry import DetectorChoice
 from mirror.privacy.encoding import Codec, RedactedImage, redact_encoded, redact_frame, to_stored, turn_upright
@@ -93,7 +95,33 @@ class DetectionLog(FinishedWork[Detected]):
         super().__init__(path, Detected.model_validate, sync=True)
 
 
-DetectionPool: TypeAlias = GuardedPool[DetectionTask, Detected]
+class DetectionPool:
+    """The processes that search images of a dataset; they end with the block that opened the pool.
+
+    An image whose search ends its process or takes too long fails alone; it is not searched again.
+
+    Args:
+        root: the dataset's folder.
+        choices: the detectors.
+        executor: where they run.
+        timeout_s: longest time for one image.
+    """
+
+    def __init__(self, root: Path, choices: Sequence[DetectorChoice], executor: Executor, timeout_s: float) -> None:
+        self._executor = executor
+        self._job: ParallelJob[DetectionTask, Detected] = ParallelJob(
+            make_search, (str(root), tuple(choices)), attempts=1, timeout_s=timeout_s
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.close()
+
+    def map(self, tasks: Sequence[DetectionTask]) -> Iterator[tuple[int, Detected | Failure]]:
+        """Yield the number of each task with its result, in the order of completion."""
+        return self._executor.map(self._job, tasks)
 
 
 def detection_pool(root: Path, choices: Sequence[DetectorChoice], *, workers: int, timeout_s: float) -> DetectionPool:
@@ -105,7 +133,7 @@ def detection_pool(root: Path, choices: Sequence[DetectorChoice], *, workers: in
         workers: number of processes.
         timeout_s: longest time for one image.
     """
-    return GuardedPool(make_search, (str(root), tuple(choices)), workers=workers, timeout_s=timeout_s)
+    return DetectionPool(root, choices, ProcessesExecutor(workers), timeout_s)
 
 
 def detect_images(
@@ -171,10 +199,6 @@ def _hash_conditions(task: DetectionTask, hashes: ContentHashes) -> str:
 
 def make_search(root: str, choices: Sequence[DetectorChoice]) -> Callable[[DetectionTask], Detected]:
     """Make the function that searches an image in a worker process."""
-    import cv2
-
-    # The processes share the cores.
-    cv2.setNumThreads(1)
     store, detectors = Store(root), [choice.make() for choice in choices]
     videos, masks = VideoDecoders(store), _MaskReader(store)
 

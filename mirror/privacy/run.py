@@ -24,7 +24,7 @@ from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.unfinished_work import DEIDENTIFICATION, remove_work, work_folder
 from mirror.dataset.writing import writing_layers
 from mirror.errors import ExitCode
-from mirror.guarded import Failure
+from mirror.executors.job import Failure
 from mirror.privacy.detection import (
     DetectionLog,
     DetectionPool,

@@ -81,7 +81,7 @@ def test_detections_of_the_same_bytes_are_used(tmp_path: Path, monkeypatch: pyte
         return iter(())
 
     with monkeypatch.context() as patched:
-        patched.setattr("mirror.guarded.GuardedPool.map", counted)
+        patched.setattr("mirror.privacy.detection.DetectionPool.map", counted)
         assert deidentify(root, options()).exit_code() == 0
     assert set(searched) == {0}
 

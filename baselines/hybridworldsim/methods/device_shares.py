@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.dataset import open as open_dataset
 from mirror.dataset.layers import LayerChoice
-from mirror.errors import DatasetError
+from mirror.executors.job import Failure, ParallelJob
+from mirror.executors.processes import ProcessesExecutor
 from mirror.methods.plugin import InstalledMethod, ReconstructionTask
-from mirror.pools import process_pool
 from mirror.progress import NullProgress, ProgressReporter
 
 
@@ -72,22 +70,15 @@ def train_shares(
     """
     shares = divide_blocks(images, task.devices)
     reporter.message("; ".join(f"{device}: {', '.join(sorted(blocks))}" for device, blocks in shares))
-    try:
-        with process_pool(len(shares), _begin) as pool:
-            waiting = {
-                pool.submit(_train, _make_share(method, dataset, task, out, device, blocks)): device
-                for device, blocks in shares
-            }
-            while waiting:
-                ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in ready:
-                    future.result()
-                    reporter.message(f"{waiting.pop(future)}: done")
-    except BrokenProcessPool as error:
-        raise DatasetError(
-            "a process of a device died, for example because memory ran out", file=out,
-            remedy="run the same command again: it continues; fewer --devices need less memory",
-        ) from error  # fmt: skip
+    jobs = [_make_share(method, dataset, task, out, device, blocks) for device, blocks in shares]
+    with ProcessesExecutor(len(jobs)) as executor:
+        for number, answer in executor.map(ParallelJob(_make_training, attempts=1), jobs):
+            if isinstance(answer, Failure):
+                answer.raise_error(
+                    place=str(out),
+                    remedy="run the same command again: it continues. If memory ran out, fewer --devices need less",
+                )
+            reporter.message(f"{jobs[number].task.device}: done")
 
 
 def _make_share(
@@ -97,8 +88,8 @@ def _make_share(
     return DeviceShare(method, str(dataset.root), dataset.layers, own, out)
 
 
-def _begin() -> None:
-    """Begin a worker, which needs nothing."""
+def _make_training() -> Callable[[DeviceShare], None]:
+    return _train
 
 
 def _train(share: DeviceShare) -> None:

@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 
 from mirror.arrays import UInt8
+from mirror.pools import usable_cores
 from mirror.recordings.raster import has_end_marker, is_decodable
 
 
@@ -71,11 +72,6 @@ def run_jobs(jobs: Sequence[Callable[[], None]], costs: Sequence[int], threads: 
     wait(futures)
     for future in futures:
         future.result()
-
-
-def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 _pool_lock = threading.Lock()

@@ -15,7 +15,7 @@ from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.redaction import REDACTION, newest_redaction
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, ExitCode, MirrorError
-from mirror.guarded import Failure
+from mirror.executors.job import Failure
 from mirror.integrity import Cost
 from mirror.integrity import check as check_dataset
 from mirror.privacy.detection import Detected, DetectionTask, decode_recorded, detection_pool, read_recorded

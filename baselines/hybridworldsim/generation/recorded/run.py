@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,7 +21,8 @@ from hybridworldsim.generation.scenes.rollout import require_size
 from mirror.dataset.dataset import Dataset
 from mirror.devices import CPU, hardware_name
 from mirror.errors import DatasetError, UsageError
-from mirror.pools import process_pool
+from mirror.executors.choice import ExecutorChoice, Kind
+from mirror.executors.job import Failure, ParallelJob
 from mirror.progress import ProgressReporter
 from mirror.schema.files import read_json, write_json
 from mirror.schema.folders import FolderKind
@@ -136,39 +136,27 @@ def make_recorded_clips(
 def _make_all(
     maker: ClipMaker, planned: Sequence[TraversalWindows], request: ClipRequest, progress: ProgressReporter
 ) -> Iterator[TraversalClips]:
-    if request.workers == 1 or len(planned) < 2:
-        for one in planned:
-            yield maker.make(one, progress.advance)
-        return
-    try:
-        with process_pool(request.workers, _start_worker, maker) as pool:
-            waiting: dict[Future[TraversalClips], int] = {
-                pool.submit(_make_in_worker, one): len(one.firsts) for one in planned
-            }
-            while waiting:
-                ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in ready:
-                    progress.advance(waiting.pop(future))
-                    yield future.result()
-    except BrokenProcessPool as error:
-        raise DatasetError(
-            "a worker process died, for example because memory ran out", file=maker.out,
-            remedy="run the same command again: it continues; --workers 1 needs the least memory",
-        ) from error  # fmt: skip
+    kind: Kind = "serial" if request.workers == 1 or len(planned) < 2 else "processes"
+    with ExecutorChoice(kind, request.workers).open() as executor:
+        # In this process each window is counted, elsewhere all of a traversal when it is done.
+        advance = progress.advance if executor.is_local else _count_nothing
+        for number, answer in executor.map(ParallelJob(_make_clipping, (maker, advance)), planned):
+            if isinstance(answer, Failure):
+                answer.raise_error(
+                    place=planned[number].traversal_id,
+                    remedy="run the same command again: it continues. If memory ran out, --workers 1 needs the least",
+                )
+            if not executor.is_local:
+                progress.advance(len(planned[number].firsts))
+            yield answer
 
 
-_makers: list[ClipMaker] = []
+def _make_clipping(maker: ClipMaker, advance: Callable[[int], None]) -> Callable[[TraversalWindows], TraversalClips]:
+    return partial(maker.make, advance=advance)
 
 
-def _start_worker(maker: ClipMaker) -> None:
-    import cv2
-
-    cv2.setNumThreads(1)
-    _makers[:] = [maker]
-
-
-def _make_in_worker(planned: TraversalWindows) -> TraversalClips:
-    return _makers[0].make(planned)
+def _count_nothing(steps: int) -> None:
+    """Count the windows of a traversal where nobody sees them."""
 
 
 def _choose_cameras(dataset: Dataset, sources: ClipSources, cameras: tuple[str, ...] | None) -> tuple[str, ...]:

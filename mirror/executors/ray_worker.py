@@ -1,0 +1,30 @@
+"""The part of the Ray executor that runs in a worker of the cluster; it imports nothing that is heavy."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from mirror.executors.job import Failure, JobFunction, ParallelJob
+from mirror.pools import ONE_THREAD
+from mirror.version import __version__
+
+
+class RayWorker:
+    """An actor that does a job on one item at a time.
+
+    Args:
+        job: the work.
+    """
+
+    def __init__(self, job: ParallelJob[Any, Any]) -> None:
+        os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+        self._function = JobFunction(job)
+
+    def version(self) -> str:
+        """Return the version of the toolkit on this node."""
+        return __version__
+
+    def answer(self, item: Any) -> Any | Failure:
+        """Return the result of an item, or its failure."""
+        return self._function.answer(item)

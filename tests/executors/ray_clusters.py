@@ -1,0 +1,50 @@
+"""Ray clusters for tests: of this machine alone, with a token, without a dashboard, outside of the home folder."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mirror.executors.ray_cluster import PRIVATE
+
+
+def cluster_environment(home: Path) -> dict[str, str]:
+    """The environment of a process that begins a cluster, or that is the driver of one of its own."""
+    return {
+        **PRIVATE,
+        "HOME": str(home),
+        "RAY_AUTH_TOKEN": secrets.token_hex(32),
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_memory_monitor_refresh_ms": "0",
+        "PYTHONPATH": str(Path(__file__).parents[2]),
+    }
+
+
+@contextmanager
+def open_cluster(home: Path, *nodes: dict[str, Any]) -> Iterator[Any]:
+    """Begin a cluster of one node or more, and connect this process, which has not imported Ray yet.
+
+    Args:
+        home: takes the place of the home folder.
+        nodes: arguments of `Cluster.add_node`; the first one is the head.
+    """
+    assert "ray" not in sys.modules
+    os.environ.update(cluster_environment(home))
+    import ray
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster()
+    try:
+        for number, node in enumerate(nodes):
+            head: dict[str, Any] = {"include_dashboard": False} if number == 0 else {}
+            cluster.add_node(object_store_memory=100 << 20, wait=True, **head, **node)
+        ray.init(address=cluster.address, log_to_driver=False, logging_level="ERROR")
+        yield cluster
+    finally:
+        ray.shutdown()
+        cluster.shutdown()

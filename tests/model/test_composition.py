@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hybridworldsim.kernels.dispatch import plain_torch
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
@@ -12,6 +14,7 @@ from hybridworldsim.model.partition import partition
 from hybridworldsim.model.parts import split_street
 from hybridworldsim.model.splats import concatenate_splats
 from hybridworldsim.model.street import StreetModel
+from hybridworldsim.rasterizer import covers as covers_module
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.trainable.viewpoint import to_viewpoint
@@ -68,7 +71,7 @@ def test_a_single_block_renders_unchanged() -> None:
     assert counts["nodes_drawn"] == 3 and counts["decoded"] < counts["held"]
 
 
-def test_covers_are_the_opacity_of_what_lies_before_a_far_plane() -> None:
+def test_covers_are_the_opacity_of_what_lies_before_a_far_plane(monkeypatch: pytest.MonkeyPatch) -> None:
     composition, seen = Composition([(A, street())]), view(-15.0)
     decoded = composition.decode(seen, select_latents)
     output = composition.draw(seen, decoded)
@@ -89,6 +92,13 @@ def test_covers_are_the_opacity_of_what_lies_before_a_far_plane() -> None:
     mixed = covered_before(output.meta, np.array([4.0, 12.0, 40.0, 0.0], np.float32)[chosen])
     picked = torch.stack([*covers, torch.zeros(shape)])[torch.from_numpy(chosen), *np.indices(shape)]
     assert torch.equal(mixed, picked)
+    for chunk in (1 << 22, 5000):
+        monkeypatch.setattr(covers_module, "_CHUNK", chunk)
+        with plain_torch():
+            plain = covered_before(output.meta, np.array([4.0, 12.0, 40.0, 0.0], np.float32)[chosen])
+            none = covered_before(output.meta, np.zeros(shape, np.float32))
+        # Less than 1e-4 of the light is left where the kernel stops.
+        assert (plain - mixed).abs().max() < 2e-4 and not none.any()
 
 
 def test_identical_blocks_render_as_one() -> None:

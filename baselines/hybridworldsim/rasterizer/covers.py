@@ -11,11 +11,14 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.dispatch import is_compiled
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, DEFAULT_PRESET, TRANSMITTANCE_STOP, get_preset
-from mirror.arrays import Float32, Int32
+from mirror.arrays import Float32, Int32, Int64
 
 _NUMBERS: Final = ("means2d", "conics", "depths", "opacities")
 _ROUNDING: Final = 1e-6
+_CHUNK: Final = 1 << 22
+"""Pairs of Gaussian and pixel that plain torch computes at a time."""
 
 
 def covered_before(meta: Mapping[str, Any], limit_m: Float32) -> Tensor:
@@ -30,8 +33,10 @@ def covered_before(meta: Mapping[str, Any], limit_m: Float32) -> Tensor:
         limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
 
     Returns:
-        (H, W) shares, 0 to 1.
+        (H, W) shares, 0 to 1, on the device of the Gaussians: a compiled kernel on the CPU, elsewhere plain torch.
     """
+    if not is_compiled(meta["means2d"]):
+        return _cover_plainly(meta, limit_m)
     means2d, conics, depths, opacities = (
         np.ascontiguousarray(meta[name].detach().cpu().numpy(), np.float32) for name in _NUMBERS
     )
@@ -47,6 +52,52 @@ def covered_before(meta: Mapping[str, Any], limit_m: Float32) -> Tensor:
             through,
         )  # fmt: skip
     return torch.from_numpy(1.0 - through)
+
+
+def _cover_plainly(meta: Mapping[str, Any], limit_m: Float32) -> Tensor:
+    """Compute `covered_before` in plain torch: of each Gaussian the pixels of its bounds, among those with a limit."""
+    rows, columns = (np.flatnonzero((limit_m > 0.0).any(axis=axis)) for axis in (1, 0))
+    means2d, conics, depths, opacities = (meta[name].detach().float() for name in _NUMBERS)
+    limit = torch.from_numpy(np.ascontiguousarray(limit_m, np.float32)).to(means2d.device)
+    through = torch.zeros(limit.numel(), device=limit.device)
+    if not len(rows):
+        return through.view_as(limit)
+    a, b, c = conics.unbind(1)
+    level = 2.0 * (opacities / ALPHA_MIN).log()
+    spread = a.double() * c * (1.0 - _ROUNDING) - b.double() * b
+    bounds = [
+        _bound_pixels(middle, torch.where(spread > 0.0, (level * side / spread).sqrt(), torch.inf), inside)
+        for middle, side, inside in zip(means2d.unbind(1), (c, a), (columns, rows), strict=True)
+    ]
+    (left, wide), (top, high) = bounds
+    reached = (wide > 0) & (high > 0) & (depths < limit.max()) & (opacities > ALPHA_MIN)
+    chosen = reached.nonzero().squeeze(1)
+    counts = wide[chosen] * high[chosen]
+    ends = counts.cumsum(0).cpu()
+    alpha_max, begin = get_preset(DEFAULT_PRESET).alpha_max, 0
+    while begin < len(chosen):
+        before = int(ends[begin - 1]) if begin else 0
+        end = max(int(torch.searchsorted(ends, before + _CHUNK)), begin + 1)
+        own = chosen[begin:end].repeat_interleave(counts[begin:end])
+        first = (counts[begin:end].cumsum(0) - counts[begin:end]).repeat_interleave(counts[begin:end])
+        number = torch.arange(len(own), device=own.device) - first
+        row, column = top[own] + number // wide[own], left[own] + number % wide[own]
+        pixel = row * limit.shape[1] + column
+        dx, dy = column + 0.5 - means2d[own, 0], row + 0.5 - means2d[own, 1]
+        power = -0.5 * (a[own] * dx * dx + c[own] * dy * dy) - b[own] * dx * dy
+        alpha = (opacities[own] * power.exp()).clamp_max(alpha_max)
+        lets = (alpha >= ALPHA_MIN) & (depths[own] < limit.view(-1)[pixel])
+        through.index_add_(0, pixel, torch.where(lets, torch.log1p(-alpha), 0.0))
+        begin = end
+    return (1.0 - through.exp()).view_as(limit)
+
+
+def _bound_pixels(middle: Tensor, reach: Tensor, inside: Int64) -> tuple[Tensor, Tensor]:
+    """Return the first pixel (M,) within a reach of places, and how many there are, among those from first to last."""
+    first, last = int(inside[0]), int(inside[-1])
+    low = (middle - reach - 0.5).ceil().clamp(first, last + 1)
+    high = (middle + reach - 0.5).floor().clamp(first - 1, last)
+    return low.long(), (high - low + 1.0).long().clamp_min(0)
 
 
 @kernel()

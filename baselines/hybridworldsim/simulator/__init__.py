@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from hybridworldsim.simulator.policies.protocol import ObservationSpec as ObservationSpec
     from hybridworldsim.simulator.policies.protocol import PlannedTrajectory as PlannedTrajectory
     from hybridworldsim.simulator.policies.protocol import Policy as Policy
+    from hybridworldsim.simulator.policies.protocol import TensorPolicy as TensorPolicy
 
 COMMAND = Command("reconstruction", "drive a scenario in closed loop with a policy", "hybridworldsim.simulator.command")
 
@@ -21,6 +22,7 @@ __all__ = [
     "ObservationSpec",
     "PlannedTrajectory",
     "Policy",
+    "TensorPolicy",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -31,5 +33,6 @@ __getattr__, __dir__ = lazy_names(
         "ObservationSpec": "hybridworldsim.simulator.policies.protocol",
         "PlannedTrajectory": "hybridworldsim.simulator.policies.protocol",
         "Policy": "hybridworldsim.simulator.policies.protocol",
+        "TensorPolicy": "hybridworldsim.simulator.policies.protocol",
     },
 )

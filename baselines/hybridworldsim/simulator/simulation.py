@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -34,6 +34,9 @@ from mirror.errors import UsageError
 from mirror.metrics.safety import find_collisions, inside_area
 from mirror.schema.rollout import Ending
 from mirror.schema.scenario import RecordedStart, Scenario
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _STREET_MARGIN_M: Final = 60.0
 _NO_PLAN_S: Final = 4.0
@@ -108,15 +111,17 @@ class Simulation:
         self.recorder.add(self.world.advance(self._controls))
         return self._ending()
 
-    def observe(self, images: Mapping[str, UInt8], *, privileged: bool = False) -> Observation:
-        """Return the observation of the present state."""
+    def observe(
+        self, images: Mapping[str, UInt8], *, privileged: bool = False, tensors: Mapping[str, Tensor] | None = None
+    ) -> Observation:
+        """Return the observation of the present state, with images as arrays or as tensors."""
         now, ego = self.now, self.now.ego
         cos, sin = np.cos(ego.yaw_rad), np.sin(ego.yaw_rad)
         ahead = self.route_ahead(ROUTE_STEP_M * ROUTE_POINTS, ROUTE_STEP_M) - (ego.x_m, ego.y_m)
         route = np.column_stack([ahead @ (cos, sin), ahead @ (-sin, cos)])
         local = replace(ego, x_m=0.0, y_m=0.0, yaw_rad=0.0)
         exact = self._exact_state() if privileged else None
-        return Observation(now.stamp_ns, images, local, route, self._odometry(), exact)
+        return Observation(now.stamp_ns, images, local, route, self._odometry(), exact, tensors or {})
 
     def _odometry(self) -> Float64:
         ego, first = self.now.ego, self.recorder.snapshots[0].ego

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hybridworldsim.generation.autoencoder.codec import from_levels
 from hybridworldsim.generation.clips.captions import Captions, TextEmbedding, embed_views, require_equal_lengths
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.network.conditions import Conditions
@@ -26,6 +27,7 @@ def frame_conditions(
     captions: Captions | None = None,
     *,
     ring: bool = False,
+    background: Tensor | None = None,
 ) -> Conditions:
     """Return the conditions of one frame.
 
@@ -36,6 +38,7 @@ def frame_conditions(
         layout: (V, channels, height, width) from `draw_layout`.
         captions: captions of the views; None: no text.
         ring: whether a view attends only to the views before and behind it in the rig, the first being behind the last.
+        background: (V, height, width, 3) uint8, the images of the empty street on any device; None: those of the clip.
 
     Raises:
         UsageError: the network takes a layout and none is given, or a caption does not fit.
@@ -46,7 +49,7 @@ def frame_conditions(
     views = len(clip.views)
     text = TextEmbedding.empty(config) if captions is None else embed_views(captions, clip, frame, config)
     unit = clip.intrinsics / np.array([width, height, 1.0])[:, None]
-    background = torch.from_numpy(clip.background[frame]).movedim(-1, -3).float() / 255.0
+    shown = torch.from_numpy(clip.background[frame]) if background is None else background
     return Conditions(
         clip.size_px,
         _batched(unit),
@@ -56,7 +59,7 @@ def frame_conditions(
         text.tokens.expand(1, 1, views, -1, -1),
         text.pooled.expand(1, 1, views, -1),
         None if config.layout is None or layout is None else torch.from_numpy(layout)[None, None],
-        None if config.background is None else background[None, None],
+        None if config.background is None else from_levels(shown)[None, None],
         torch.from_numpy(clip.present[frame])[None, None],
         _ring(clip.ego_SE3_camera)[None] if ring else None,
     )

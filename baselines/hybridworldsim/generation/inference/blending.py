@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import torch
+from torch import Tensor
 
 from hybridworldsim.generation.clips.clip import ClipBoxes
 from hybridworldsim.generation.layout.boxes import draw_inverse_depth
@@ -50,3 +52,9 @@ def blend(images: UInt8, background: UInt8, shares: Float32) -> UInt8:
     share = shares[..., None]
     mixed: UInt8 = np.round(share * images + (1.0 - share) * background).astype(np.uint8)
     return mixed
+
+
+def blend_tensors(images: Tensor, background: Tensor, shares: Tensor) -> Tensor:
+    """Blend as `blend` does, on the device of the tensors."""
+    share = shares[..., None]
+    return (share * images + (1.0 - share) * background).round().to(torch.uint8)

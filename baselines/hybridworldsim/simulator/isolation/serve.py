@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, Final
 
 import cv2
@@ -25,6 +26,7 @@ from hybridworldsim.simulator.policies.protocol import (
     ObservationSpec,
     PlannedTrajectory,
     Policy,
+    image_form,
 )
 from hybridworldsim.simulator.policy_registry import make_policy
 from hybridworldsim.simulator.remote.lenses import from_spec
@@ -62,6 +64,7 @@ class PolicyService:
         if policy.privileged:
             raise UsageError("the policy reads the exact state", place="privileged", expected="False")
         self._policy, self._step_s, self._vehicle = policy, step_s, vehicle
+        self._in_tensors = image_form(policy, type(policy).__name__) == "torch"
         self._images: dict[str, UInt8] = {}
         self._motion: Any = None
         self._route: Any = None
@@ -115,6 +118,10 @@ class PolicyService:
         yaw = 2.0 * np.arctan2(pose.quat.z, pose.quat.w)
         odometry = np.array([pose.vec.x, pose.vec.y, yaw])
         seen = Observation(1000 * request.time_now_us, dict(self._images), ego, points, odometry)
+        if self._in_tensors:
+            from hybridworldsim.simulator.renderers.protocol import to_tensors
+
+            seen = replace(seen, images={}, tensors=to_tensors(self._images))
         return self._answer(self._policy.act(seen), ego, odometry, request.time_now_us)
 
     def _answer(self, action: Action, ego: EgoState, odometry: Any, now_us: int) -> Any:

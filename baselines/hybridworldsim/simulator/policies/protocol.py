@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, Protocol, TypeAlias, cast, get_args
 
 import numpy as np
 
@@ -14,6 +14,12 @@ from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+ImageForm: TypeAlias = Literal["numpy", "torch"]
+"""The form of the images that a policy gets: arrays, or tensors on the device of the renderer."""
 
 ROUTE_STEP_M: Final = 2.0
 ROUTE_POINTS: Final = 40
@@ -82,12 +88,13 @@ class Observation:
 
     Attributes:
         stamp_ns: Unix time.
-        images: (H, W, 3) RGB by camera, all at that instant.
+        images: (H, W, 3) RGB by camera, all at that instant; empty for a `TensorPolicy`.
         ego: the ego in its own frame: x, y and yaw are 0.
         route: (`ROUTE_POINTS`, 2) points of the route every `ROUTE_STEP_M`, from the place beside the ego on, in the
             ego frame.
         odometry: (3,) x, y and yaw of the ego in its own frame at the start of the rollout.
         privileged: the exact state; None for policies that do not ask for it.
+        tensors: for a `TensorPolicy` the images (H, W, 3), uint8, on the device that rendered them; else empty.
     """
 
     stamp_ns: int
@@ -96,6 +103,7 @@ class Observation:
     route: Float64
     odometry: Float64
     privileged: PrivilegedState | None = field(default=None, repr=False)
+    tensors: Mapping[str, Tensor] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,3 +169,31 @@ class Policy(Protocol):
     def close(self) -> None:
         """Release the policy's processes and devices."""
         ...
+
+
+class TensorPolicy(Policy, Protocol):
+    """A policy that states the form in which it gets images; one that states none gets arrays.
+
+    Attributes:
+        image_form: ``numpy``, or ``torch`` for `Observation.tensors`.
+    """
+
+    image_form: ImageForm
+
+
+def image_form(policy: Policy, name: str) -> ImageForm:
+    """Return the form in which a policy gets images.
+
+    Args:
+        policy: the policy.
+        name: its name, for messages.
+
+    Raises:
+        UsageError: it states another form.
+    """
+    stated = getattr(policy, "image_form", "numpy")
+    if stated not in get_args(ImageForm):
+        raise UsageError(
+            f"image_form is {stated!r}", place=f"policy {name!r}", expected=f"one of {', '.join(get_args(ImageForm))}"
+        )
+    return cast(ImageForm, stated)

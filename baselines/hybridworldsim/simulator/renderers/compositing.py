@@ -30,11 +30,11 @@ HIDDEN: Final = 0.75
 CELL_M: Final = 0.25
 _BEYOND_M: Final = 60.0
 _SHIFT: Final = 4
-_SHADE: Final = 0.75
-_FADE_M: Final = 0.25
-_REACH_M: Final = 0.9
-_HEIGHT_M: Final = 0.45
-_FARTHEST_M: Final = 70.0
+SHADE: Final = 0.75
+FADE_M: Final = 0.25
+REACH_M: Final = 0.9
+HEIGHT_M: Final = 0.45
+FARTHEST_M: Final = 70.0
 _NEAR_M: Final = 0.2
 
 
@@ -156,11 +156,11 @@ def add_contact_shadows(
     height, width = depth_m.shape
     for number in range(len(boxes)):
         x, y, z, yaw, half_length, half_width = boxes[number]
-        if math.hypot(x - origin[0], y - origin[1]) > _FARTHEST_M:
+        if math.hypot(x - origin[0], y - origin[1]) > FARTHEST_M:
             continue
         cos, sin = math.cos(yaw), math.sin(yaw)
-        left, top, right, bottom = _bounds(
-            x, y, z, cos, sin, half_length + _REACH_M, half_width + _REACH_M, lens, rotation, origin, width, height
+        left, top, right, bottom = shadow_bounds(
+            x, y, z, cos, sin, half_length + REACH_M, half_width + REACH_M, lens, rotation, origin, width, height
         )
         for row in range(top, bottom):
             for column in range(left, right):
@@ -175,15 +175,15 @@ def add_contact_shadows(
                 along = max(abs(cos * dx + sin * dy) - half_length + 0.1, 0.0)
                 aside = max(abs(cos * dy - sin * dx) - half_width + 0.1, 0.0)
                 beyond = math.hypot(along, aside)
-                if abs(dz) > _HEIGHT_M or beyond > _REACH_M:
+                if abs(dz) > HEIGHT_M or beyond > REACH_M:
                     continue
-                light = 1.0 - _SHADE * math.exp(-beyond / _FADE_M) * (1.0 - abs(dz) / _HEIGHT_M)
+                light = 1.0 - SHADE * math.exp(-beyond / FADE_M) * (1.0 - abs(dz) / HEIGHT_M)
                 for channel in range(3):
                     rgb[row, column, channel] = np.uint8(rgb[row, column, channel] * light)
 
 
 @njit(cache=True, nogil=True)
-def _bounds(
+def shadow_bounds(
     x: float,
     y: float,
     z: float,
@@ -197,13 +197,30 @@ def _bounds(
     width: int,
     height: int,
 ) -> tuple[int, int, int, int]:
-    """Pixels of a box over a rectangle on the ground: of the part of it that is before the camera."""  # fmt: skip
+    """Return the pixels (left, top, right, bottom) of a box over a rectangle on the ground.
+
+    They are those of the part of it that is before the camera.
+
+    Args:
+        x: place of the rectangle in the world.
+        y: the same.
+        z: the same.
+        cos: cosine of its yaw.
+        sin: sine of its yaw.
+        along: half its length.
+        aside: half its width.
+        lens: fx, fy, cx, cy of the camera.
+        rotation: (3, 3) world_R_camera.
+        origin: (3,) position of the camera in the world.
+        width: width of the image.
+        height: height of the image.
+    """
     corners = np.empty((8, 3))
     for corner in range(8):
         u = along if corner & 1 else -along
         v = aside if corner & 2 else -aside
         dx, dy = x + cos * u - sin * v - origin[0], y + sin * u + cos * v - origin[1]
-        dz = z + (_HEIGHT_M if corner & 4 else -_HEIGHT_M) - origin[2]
+        dz = z + (HEIGHT_M if corner & 4 else -HEIGHT_M) - origin[2]
         for axis in range(3):
             corners[corner, axis] = rotation[0, axis] * dx + rotation[1, axis] * dy + rotation[2, axis] * dz
     left, top, right, bottom = math.inf, math.inf, -math.inf, -math.inf

@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 import torch
 
-from hybridworldsim.generation.autoencoder.codec import to_bytes, to_tensor
+from hybridworldsim.generation.autoencoder.codec import from_levels, to_levels
 from hybridworldsim.generation.clips.clip import CATEGORIES, Clip, ClipBoxes
 from hybridworldsim.generation.clips.conditions import frame_conditions
 from hybridworldsim.generation.clips.map_lines import MapLine, crop_lines, move_lines
 from hybridworldsim.generation.clips.road_map import lines_of_map
-from hybridworldsim.generation.inference.blending import blend, hull_shares
+from hybridworldsim.generation.inference.blending import blend_tensors, hull_shares
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions, clip_hulls
 from hybridworldsim.generation.inference.rollout import SequenceRollout
 from hybridworldsim.generation.layout.images import draw_frame_layout, takes_map
@@ -24,11 +24,11 @@ from hybridworldsim.generation.scenes.rates import rate_note
 from hybridworldsim.generation.scenes.rollout import SceneGenerator
 from hybridworldsim.generation.scenes.scene_clip import CLASS_OF
 from hybridworldsim.simulator.policies.protocol import CameraSpec
-from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer, ego_pose
+from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer, ego_pose, to_arrays
 from hybridworldsim.simulator.renderers.reconstructed import ReconstructedRenderer
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
-from mirror.arrays import Bool, Float64, UInt8
+from mirror.arrays import Bool, Float32, Float64, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.schema.scenario import Scenario
@@ -143,7 +143,7 @@ class GeneratedRenderer(Renderer):
         self._lines = self._map_lines()
         self.counts = dict.fromkeys(_COUNTS, 0)
         self._step: int | None = None
-        self._shown: dict[str, UInt8] = {}
+        self._shown: dict[str, torch.Tensor] = {}
         self._seeds: list[tuple[torch.Tensor, Conditions]] = []
         self._rollout: SequenceRollout | None = None
         unknown = sorted({agent.category for agent in start.agents if agent.category not in CLASS_OF})
@@ -159,6 +159,10 @@ class GeneratedRenderer(Renderer):
         return dict(self.counts)
 
     def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
+        return to_arrays(self._draw_tensors(snapshot, views))
+
+    def _draw_tensors(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, torch.Tensor]:
+        """Draw images on the generator's device, where they stay from the street's renderer to the encoder and on."""
         names = [view.name for view in views]
         if sorted(names) != sorted(self._names):
             raise UsageError(
@@ -171,17 +175,18 @@ class GeneratedRenderer(Renderer):
             images = self._next_frame(snapshot, [by_name[name] for name in self._names])
             self._shown = dict(zip(self._names, images))
             self._step = snapshot.step
-        return {name: self._shown[name].copy() for name in names}
+        return {name: self._shown[name].clone() for name in names}
 
-    def _next_frame(self, snapshot: Snapshot, views: Sequence[CameraView]) -> UInt8:
-        """The images (V, H, W, 3) of the step after the last one."""
-        background = _stack(self._base.draw_empty(snapshot, views), self._names)
-        clip = self._clip(snapshot, background)
+    def _next_frame(self, snapshot: Snapshot, views: Sequence[CameraView]) -> torch.Tensor:
+        """The images (V, H, W, 3), uint8, of the step after the last one."""
+        background = self._stack(self._base.draw_empty(snapshot, views), self._names)
+        clip = self._clip(snapshot, tuple(background.shape))
         layout = draw_frame_layout(clip, 0, self._generator.style, self._generator.network.config)
-        conditions = frame_conditions(clip, 0, self._generator.network.config, layout, ring=self._generator.ring)
-        conditions = conditions.to(self._device)
+        conditions = frame_conditions(
+            clip, 0, self._generator.network.config, layout, ring=self._generator.ring, background=background
+        ).to(self._device)
         if self._rollout is None:
-            images = _stack(self._base.render_views(snapshot, views), self._names)
+            images = self._stack(self._base.render_view_tensors(snapshot, views), self._names)
             self.counts["seeds"] += len(images)
             self._seeds.append((self._encode(images), conditions))
             if len(self._seeds) == self._generator.references:
@@ -191,7 +196,7 @@ class GeneratedRenderer(Renderer):
                     seed=self._seed, first=snapshot.step + 1, dropped_layout=self._generator.style.dropped,
                 )  # fmt: skip
             return images
-        return self._generate(self._rollout, snapshot, views, clip, conditions)
+        return self._generate(self._rollout, snapshot, views, clip, background, conditions)
 
     def _generate(
         self,
@@ -199,33 +204,38 @@ class GeneratedRenderer(Renderer):
         snapshot: Snapshot,
         views: Sequence[CameraView],
         clip: Clip,
+        background: torch.Tensor,
         conditions: Conditions,
-    ) -> UInt8:
+    ) -> torch.Tensor:
         hulls = clip_hulls(clip, 0)
         unknown = self._shows_unknown(snapshot, clip)
         generated: Bool = hulls.any(axis=(1, 2)) & ~unknown
-        images = clip.background[0].copy()
+        images = background.clone()
         if unknown.any():
             fallback = [view for view, is_unknown in zip(views, unknown) if is_unknown]
-            images[unknown] = _stack(self._base.render_views(snapshot, fallback), [view.name for view in fallback])
+            images[self._move(unknown)] = self._stack(
+                self._base.render_view_tensors(snapshot, fallback), [view.name for view in fallback]
+            )
         kept = None if generated.all() else self._encode(images)
         latents = rollout.step(conditions, active=np.flatnonzero(generated).tolist(), kept=kept)
         if generated.any():
-            chosen = torch.from_numpy(generated).to(self._device)
+            chosen = self._move(generated)
             with torch.no_grad():
-                images[generated] = to_bytes(self._generator.codec.decode(latents[0, 0, chosen]))
+                found = to_levels(self._generator.codec.decode(latents[0, 0, chosen]))
             blend_px = self._choice.rollout.blend_px
             if blend_px is not None:
-                shares = hull_shares(hulls[generated], blend_px)
-                images[generated] = blend(images[generated], clip.background[0][generated], shares)
+                shares = self._move(hull_shares(hulls[generated], blend_px))
+                found = blend_tensors(found, background[chosen], shares)
+            images[chosen] = found
         self.counts["generated"] += int(generated.sum())
         self.counts["fallback"] += int(unknown.sum())
         self.counts["kept"] += int((~generated & ~unknown).sum())
         self.counts["without_network"] += int(not generated.any())
         return images
 
-    def _clip(self, snapshot: Snapshot, background: UInt8) -> Clip:
-        """The present instant as a clip of one frame."""
+    def _clip(self, snapshot: Snapshot, shape: tuple[int, ...]) -> Clip:
+        """The present instant as a clip of one frame, with images (V, H, W, 3) that nobody reads."""
+        unread: UInt8 = np.broadcast_to(np.uint8(0), (1, *shape))
         ego = ego_pose(self._street, snapshot)
         rows = self._near_rows(snapshot)
         known = [row for row in rows if snapshot.agents[row].category in CLASS_OF]
@@ -238,8 +248,8 @@ class GeneratedRenderer(Renderer):
             self._street.scene_id,
             self._rate_hz,
             self._names,
-            background[None],
-            background[None],
+            unread,
+            unread,
             np.ones((1, len(self._names)), np.bool_),
             self._intrinsics,
             self._mounts,
@@ -280,10 +290,12 @@ class GeneratedRenderer(Renderer):
         return lines_of_map(self._street.road_map, self._start.translation)
 
     @torch.no_grad()
-    def _encode(self, images: UInt8) -> torch.Tensor:
+    def _encode(self, images: torch.Tensor) -> torch.Tensor:
         """Latents (1, 1, V, C, h, w) of images (V, H, W, 3)."""
-        return self._generator.codec.encode(to_tensor(images).to(self._device))[None, None]
+        return self._generator.codec.encode(from_levels(images))[None, None]
 
+    def _stack(self, images: Mapping[str, torch.Tensor], names: Iterable[str]) -> torch.Tensor:
+        return torch.stack([images[name] for name in names]).to(self._device)
 
-def _stack(images: Mapping[str, UInt8], names: Iterable[str]) -> UInt8:
-    return np.stack([images[name] for name in names])
+    def _move(self, array: Bool | Float32) -> torch.Tensor:
+        return torch.from_numpy(array).to(self._device)

@@ -24,6 +24,8 @@ from mirror.synth import Body, RoadUser
 from mirror.traffic.placement.motion import Placement
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from mirror.synth import Lens
 
 _BASE_SHARE: Final = 0.6
@@ -65,26 +67,50 @@ class Renderer(ABC):
 
     def render(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, UInt8]:
         """Render images (H, W, 3), RGB, of some cameras of the ego vehicle, all at one instant."""
-        if not cameras:
-            return {}
-        world_SE3_ego = ego_pose(self._street, snapshot)
-        specs = {name: self._cameras[name] for name in cameras}
-        return self.render_views(
-            snapshot,
-            [CameraView(name, spec.camera, world_SE3_ego @ spec.ego_SE3_camera) for name, spec in specs.items()],
-        )
+        return self.render_views(snapshot, self._views_of(snapshot, cameras)) if cameras else {}
+
+    def render_tensors(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, Tensor]:
+        """Render as `render` does; the images, uint8, stay on the device that made them."""
+        return self.render_view_tensors(snapshot, self._views_of(snapshot, cameras)) if cameras else {}
 
     def render_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
         """Render images (H, W, 3), RGB, of cameras anywhere, all at one instant; the cameras' names must differ."""
         self.rendered += len(views)
         return self._draw_views(snapshot, views)
 
+    def render_view_tensors(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, Tensor]:
+        """Render as `render_views` does; the images, uint8, stay on the device that made them."""
+        self.rendered += len(views)
+        return self._draw_tensors(snapshot, views)
+
     def view_counts(self) -> dict[str, int] | None:
         """Return counts of how the views so far were rendered; None if all are rendered alike."""
         return None
 
+    def _views_of(self, snapshot: Snapshot, cameras: Sequence[str]) -> list[CameraView]:
+        """Return cameras of the ego vehicle at their places."""
+        world_SE3_ego = ego_pose(self._street, snapshot)
+        specs = {name: self._cameras[name] for name in cameras}
+        return [CameraView(name, spec.camera, world_SE3_ego @ spec.ego_SE3_camera) for name, spec in specs.items()]
+
     @abstractmethod
     def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]: ...
+
+    def _draw_tensors(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, Tensor]:
+        """Draw images on the CPU; a renderer that computes elsewhere replaces this."""
+        return to_tensors(self._draw_views(snapshot, views))
+
+
+def to_tensors(images: Mapping[str, UInt8]) -> dict[str, Tensor]:
+    """Return images by camera as tensors of the CPU, with the same memory."""
+    import torch
+
+    return {name: torch.from_numpy(image) for name, image in images.items()}
+
+
+def to_arrays(images: Mapping[str, Tensor]) -> dict[str, UInt8]:
+    """Return images by camera as arrays; those of the CPU share the memory."""
+    return {name: image.cpu().numpy() for name, image in images.items()}
 
 
 def rig_cameras(

@@ -10,20 +10,23 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from hybridworldsim.kernels.dispatch import runs_kernels
 from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.simulator.policies.protocol import CameraSpec
-from hybridworldsim.simulator.renderers.agent_layer import AgentLayer
+from hybridworldsim.simulator.renderers import plain_compositing as plain
+from hybridworldsim.simulator.renderers.agent_layer import AgentImage, AgentLayer
 from hybridworldsim.simulator.renderers.compositing import (
     add_contact_shadows,
     compose,
     free_space,
     hiding_depth,
 )
-from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
+from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer, to_arrays
 from hybridworldsim.simulator.street.street import Street, StreetRecording
 from hybridworldsim.simulator.world import Snapshot
-from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
+from mirror.arrays import AnyArray, Float32, Float64, Int32, UInt8
 from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.geometry import matrix_from_quaternion
@@ -65,12 +68,14 @@ class OpenModel:
         scene: the scene that it shows.
         trained: ids of the traversals that it was trained on.
         renderer: its renderer, which renders depth.
+        device: where it renders, as torch names it.
     """
 
     path: Path
     scene: str
     trained: tuple[str, ...]
     renderer: ModelRenderer
+    device: str = CPU
 
     @classmethod
     def read(
@@ -96,7 +101,7 @@ class OpenModel:
                 f"method {document.method} renders no depth, which places road users in its images", file=path,
                 expected="a method whose renderer has a function `render` with depth, such as hybridworldsim",
             )  # fmt: skip
-        return cls(path, document.scene, trained or tuple(sorted(document.trained)), renderer)
+        return cls(path, document.scene, trained or tuple(sorted(document.trained)), renderer, device)
 
 
 class Seconds:
@@ -124,6 +129,8 @@ class Seconds:
 
 class ReconstructedRenderer(Renderer):
     """A renderer of a trained model with agents; cameras are rendered in parallel on torch's number of threads.
+
+    Agents are drawn on the CPU and put into the images on the model's device.
 
     Args:
         model: the model.
@@ -154,14 +161,20 @@ class ReconstructedRenderer(Renderer):
         condition = _condition(street, self._appearance, scenario)
         self.layer = AgentLayer(street, condition, start.agents)
         self._free = free_space(street.road_map.drivable_rings, street.middle_m, street.radius_m)
-        self._shown: dict[str, Int32] = {}
+        self._shown: dict[str, tuple[Tensor, Int32 | None]] = {}
 
     def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
+        return to_arrays(self._draw_tensors(snapshot, views))
+
+    def _draw_tensors(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, Tensor]:
+        """Draw images on the model's device: agents and their shadows are put into them there."""
         begin = time.thread_time()
         instant = self.layer.at(snapshot)
         boxes = _ground_boxes(self._street, snapshot)
         self.seconds.add("agents", begin)
-        images: dict[str, UInt8] = {}
+        images: dict[str, Tensor] = {}
+        # Threads do not know whether plain torch is requested.
+        put = self._put_compiled if runs_kernels(self._model.device) else self._put_elsewhere
 
         def work(number: int) -> None:
             view = views[number]
@@ -169,16 +182,11 @@ class ReconstructedRenderer(Renderer):
             agents = self.layer.draw(instant, view.camera, view.world_SE3_camera)
             clock = self.seconds.add("agents", clock)
             seen = self._render_view(view, snapshot)
-            rgb, depth, covered = self._background(seen, None if agents is None else hiding_depth(agents))
+            limit_m = None if agents is None else hiding_depth(agents)
+            empty = self._draw_background(seen, limit_m)
             clock = self.seconds.add("street", clock)
-            rotation = matrix_from_quaternion(view.world_SE3_camera.rotation)[0]
-            origin, lens = view.world_SE3_camera.translation[0], view.camera
-            numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px])
-            add_contact_shadows(rgb, depth, numbers, rotation, origin, boxes)
-            shown: Bool = np.zeros(depth.shape, np.bool_)
-            if agents is not None:
-                rgb, shown = compose(rgb, depth, covered, agents, numbers, rotation, origin, self._free)
-            self._shown[view.name] = np.where(shown, -1 if agents is None else agents.number, -1).astype(np.int32)
+            rgb, shown = put(view, empty, agents, limit_m, boxes)
+            self._shown[view.name] = shown, None if agents is None else agents.number
             noise = np.random.SeedSequence([self._seed, number, snapshot.step]).generate_state(1, np.uint64)[0]
             images[view.name] = self._expose(seen, rgb, int(noise))
             self.seconds.add("composition", clock)
@@ -186,20 +194,51 @@ class ReconstructedRenderer(Renderer):
         in_parallel(work, len(views))
         return {view.name: images[view.name] for view in views}
 
-    def draw_empty(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
-        """Return the images (H, W, 3), RGB, of the street without agents, all at one instant."""
-        images: dict[str, UInt8] = {}
+    def _put_compiled(
+        self, view: CameraView, empty: _Background, agents: AgentImage | None, limit_m: Float32 | None, boxes: Float64
+    ) -> tuple[Tensor, Tensor]:
+        """Put agents and their shadows into an image by compiled kernels; return it, and (H, W) where it shows one."""
+        rgb, depth_m, covered = (part.numpy() for part in (empty.rgb, empty.depth_m, empty.covered))
+        camera = _lens_numbers(view), *_placement(view)
+        add_contact_shadows(rgb, depth_m, *camera, boxes)
+        if agents is None:
+            return empty.rgb, torch.zeros(depth_m.shape, dtype=torch.bool)
+        image, shown = compose(rgb, depth_m, covered, agents, *camera, self._free)
+        return torch.from_numpy(image), torch.from_numpy(shown)
+
+    def _put_elsewhere(
+        self, view: CameraView, empty: _Background, agents: AgentImage | None, limit_m: Float32 | None, boxes: Float64
+    ) -> tuple[Tensor, Tensor]:
+        """Do as `_put_compiled`, in plain torch on the device of the image."""
+        camera = _lens_numbers(view), *_placement(view)
+        plain.add_contact_shadows(empty.rgb, empty.depth_m, *camera, boxes)
+        if agents is None or limit_m is None:
+            return empty.rgb, torch.zeros_like(empty.depth_m, dtype=torch.bool)
+        layer = plain.AgentTensors(self._move(agents.rgb), self._move(agents.alpha), self._move(limit_m))
+        free = self._move(self._free.is_free)
+        return plain.compose(empty.rgb, empty.depth_m, empty.covered, layer, *camera, free, self._free.origin_m)
+
+    def _move(self, array: AnyArray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self._model.device)
+
+    def draw_empty(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, Tensor]:
+        """Return the images (H, W, 3), RGB, uint8, of the street without agents, all at one instant, on its device."""
+        images: dict[str, Tensor] = {}
 
         def work(number: int) -> None:
             seen = self._render_view(views[number], snapshot)
-            images[seen.camera] = self._expose(seen, self._background(seen, None)[0], None)
+            images[seen.camera] = self._expose(seen, self._draw_background(seen, None).rgb, None)
 
         in_parallel(work, len(views))
         return images
 
     def agent_masks(self) -> Mapping[str, Int32]:
         """Return, for the last images, the number (H, W) of the agent that each pixel shows; -1: none."""
-        return self._shown
+        masks = {}
+        for name, (shown, number) in self._shown.items():
+            is_shown = shown.cpu().numpy()
+            masks[name] = np.where(is_shown, -1 if number is None else number, -1).astype(np.int32)
+        return masks
 
     def _render_view(self, place: CameraView, snapshot: Snapshot) -> RenderView:
         camera = place.camera
@@ -213,15 +252,14 @@ class ReconstructedRenderer(Renderer):
             world_SE3_camera=place.world_SE3_camera,
         )  # fmt: skip
 
-    def _expose(self, view: RenderView, rgb: UInt8, noise_seed: int | None) -> UInt8:
+    def _expose(self, view: RenderView, rgb: Tensor, noise_seed: int | None) -> Tensor:
         """The image that the camera takes of the unexposed street with its agents."""
         if not self._model.renderer.capabilities.separates_exposure:
             return rgb
-        image = self._model.renderer.expose(view, torch.from_numpy(rgb).float() / 255.0, noise_seed)
-        return _to_levels(torch.as_tensor(image))
+        return _to_levels(torch.as_tensor(self._model.renderer.expose(view, rgb.float() / 255.0, noise_seed)))
 
-    def _background(self, view: RenderView, limit_m: Float32 | None) -> tuple[UInt8, Float32, Float32]:
-        """The empty street: its image, its depth, and the share of each pixel that it covers before a depth (H, W)."""
+    def _draw_background(self, view: RenderView, limit_m: Float32 | None) -> _Background:
+        """The empty street, and the share of each pixel that it covers before a depth (H, W)."""
         renderer, covers = self._model.renderer, None
         if renderer.capabilities.separates_exposure:
             rendering, covers = renderer.render_unexposed(view, limit_m)
@@ -230,22 +268,48 @@ class ReconstructedRenderer(Renderer):
         else:
             rendering = renderer.render(view)
         colours, alpha, depth_m = (
-            torch.as_tensor(part).detach() for part in (rendering.rgb, rendering.alpha, rendering.depth_m)
+            torch.as_tensor(part).detach().to(self._model.device)
+            for part in (rendering.rgb, rendering.alpha, rendering.depth_m)
         )
-        rgb = _to_levels(colours)
         # Where the model shows hardly anything, nothing hides an agent.
-        depth = np.where(alpha.cpu().numpy() > 0.5, depth_m.cpu().numpy(), 0.0).astype(np.float32)
-        covered: Float32 = np.zeros(depth.shape, np.float32)
+        depth_m = torch.where(alpha > 0.5, depth_m, 0.0).float().contiguous()
+        covered = torch.zeros_like(depth_m)
         if covers is not None:
-            covered = torch.as_tensor(covers).detach().cpu().numpy().astype(np.float32)
+            covered = torch.as_tensor(covers).detach().to(depth_m)
         elif limit_m is not None:
             # Only the mean depth is known.
-            covered = ((depth > 0.0) & (depth < limit_m)).astype(np.float32)
-        return rgb, np.ascontiguousarray(depth), covered
+            covered = ((depth_m > 0.0) & (depth_m < self._move(limit_m))).float()
+        return _Background(_to_levels(colours), depth_m, covered)
 
 
-def _to_levels(colours: torch.Tensor) -> UInt8:
-    return np.ascontiguousarray(colours.clamp(0.0, 1.0).mul(255.0).add(0.5).byte().cpu().numpy())
+@dataclass(frozen=True, eq=False)
+class _Background:
+    """An image of the empty street.
+
+    Attributes:
+        rgb: (H, W, 3) uint8.
+        depth_m: (H, W) camera z; 0 where hardly anything is.
+        covered: (H, W) share of each pixel that the street before the agents covers.
+    """
+
+    rgb: Tensor
+    depth_m: Tensor
+    covered: Tensor
+
+
+def _lens_numbers(view: CameraView) -> Float64:
+    lens = view.camera
+    return np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px])
+
+
+def _placement(view: CameraView) -> tuple[Float64, Float64]:
+    """World_R_camera (3, 3) and the position (3,) of a camera."""
+    pose = view.world_SE3_camera
+    return matrix_from_quaternion(pose.rotation)[0], pose.translation[0]
+
+
+def _to_levels(colours: Tensor) -> Tensor:
+    return colours.clamp(0.0, 1.0).mul(255.0).add(0.5).byte().contiguous()
 
 
 def choose_appearance(model: OpenModel, street: Street, scenario: Scenario) -> str:

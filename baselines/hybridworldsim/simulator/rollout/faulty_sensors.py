@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from hybridworldsim.simulator.policies.protocol import CameraSpec
+from hybridworldsim.simulator.renderers.protocol import to_arrays, to_tensors
 from mirror.arrays import UInt8
 from mirror.geometry import Poses
 from mirror.protocols.sensor_faults import SensorFault
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _GAMMA: Final = 2.2
 _PURPOSE: Final = 0x5E4502
@@ -73,3 +77,10 @@ class FaultySensors:
         if len(self._waiting) <= fault.late_steps:
             return {name: np.zeros_like(image) for name, image in seen.items()}
         return self._waiting[0]
+
+    def change_tensors(self, images: Mapping[str, Tensor], step: int, time_s: float) -> dict[str, Tensor]:
+        """Return what `change` returns, as tensors on the device of the images; without a fault they never leave it."""
+        if self._fault is None:
+            return dict(images)
+        changed = to_tensors(self.change(to_arrays(images), step, time_s))
+        return {name: image.to(images[name].device) for name, image in changed.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 from hybridworldsim.simulator.ego.vehicle import Controls
-from hybridworldsim.simulator.policies.protocol import CameraSpec, Policy
-from hybridworldsim.simulator.renderers.protocol import Renderer
+from hybridworldsim.simulator.policies.protocol import CameraSpec, Observation, Policy, image_form
+from hybridworldsim.simulator.renderers.protocol import Renderer, to_arrays
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, write_actions
 from hybridworldsim.simulator.rollout.curves import list_curves
@@ -157,6 +157,7 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
         raise UsageError(
             f"policy {request.policy_name!r} needs camera {missing!r}", expected=f"one of {', '.join(request.cameras)}"
         )
+    in_tensors = image_form(request.policy, request.policy_name) == "torch"
     request.factory.require_model_of(request.street)
     simulation = start_simulation(
         request.street, request.scenario, request.seed, ends_off_road=request.ends_off_road,
@@ -164,7 +165,7 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
     )  # fmt: skip
     sensors = FaultySensors(request.sensors, simulation.seed)
     renderer = request.factory.make(simulation, sensors.turn(request.cameras)) if needed else None
-    drive = _Drive(request, simulation, renderer, sensors, tuple(needed), reporter or NullProgress())
+    drive = _Drive(request, simulation, renderer, sensors, tuple(needed), reporter or NullProgress(), in_tensors)
     if kind is not None:
         shutil.rmtree(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -216,7 +217,9 @@ class _Drive:
         sensors: FaultySensors,
         cameras: Sequence[str],
         reporter: ProgressReporter,
+        in_tensors: bool = False,
     ) -> None:
+        self._in_tensors = in_tensors
         self._request, self._simulation, self.renderer = request, simulation, renderer
         self._cameras, self._reporter, self._sensors = tuple(cameras), reporter, sensors
         self.actions: list[Controls] = []
@@ -232,17 +235,15 @@ class _Drive:
         try:
             while True:
                 append_states(log, request.street, simulation.now)
-                images = self._render()
+                shown, observe = self._render()
                 if request.video:
-                    yield mosaic({name: images[name] for name in request.video}, bird_eye(simulation))
+                    yield mosaic(shown, bird_eye(simulation))
                 if ending is not None:
                     self.ending = ending
                     break
                 if simulation.now.step == 0:
                     runner.reset(simulation.observation_spec(specs))
-                sound = {name: images[name] for name in request.policy.cameras}
-                seen = self._sensors.change(sound, simulation.now.step, simulation.now.time_s)
-                action = runner.act(simulation.observe(seen, privileged=request.policy.privileged))
+                action = runner.act(observe())
                 try:
                     ending = simulation.advance(action)
                 except UsageError as error:
@@ -262,10 +263,21 @@ class _Drive:
                 if self.error is None:
                     self.error, self.ending = error, "policy"
 
-    def _render(self) -> Mapping[str, UInt8]:
-        if self.renderer is None:
-            return {}
-        return self.renderer.render(self._simulation.now, self._cameras)
+    def _render(self) -> tuple[dict[str, UInt8], Callable[[], Observation]]:
+        """Render the present state: the images of the video, and a function that returns the policy's observation."""
+        simulation, policy, video = self._simulation, self._request.policy, self._request.video
+        now, privileged = simulation.now, policy.privileged
+        if self.renderer is not None and self._in_tensors:
+            tensors = self.renderer.render_tensors(now, self._cameras)
+            own = {name: tensors[name] for name in policy.cameras}
+            return to_arrays({name: tensors[name] for name in video}), lambda: simulation.observe(
+                {}, privileged=privileged, tensors=self._sensors.change_tensors(own, now.step, now.time_s)
+            )
+        images = {} if self.renderer is None else self.renderer.render(now, self._cameras)
+        sound = {name: images[name] for name in policy.cameras}
+        return {name: images[name] for name in video}, lambda: simulation.observe(
+            self._sensors.change(sound, now.step, now.time_s), privileged=privileged
+        )
 
 
 def append_states(log: StateLogWriter, street: Street, snapshot: Snapshot) -> None:

@@ -63,6 +63,21 @@ def test_dense_adam_ends_as_lazy_adam() -> None:
     )
 
 
+def test_statistics_of_refinement_count_the_anchors_in_view_where_all_are_decoded() -> None:
+    """As on the CPU, which decodes those in view only: visits, opacities, distances and gradients."""
+    narrow = torch.tensor([[80.0, 0.0, 16.0], [0.0, 80.0, 10.0], [0.0, 0.0, 1.0]])
+    shown = replace(IMAGES[0], viewpoint=replace(IMAGES[0].viewpoint, K=narrow))
+    found = []
+    for dense in (False, True):
+        trainer = StreetTrainer(initial_street(initial(), SETTINGS), SETTINGS, dense=dense)
+        trainer.step(shown, 0.0)
+        found.append(trainer._anchors.state())
+    lazy, dense_state = found
+    assert 0.05 < float(lazy["seen"].mean()) < 0.95, "some anchors are not in view"
+    for name, expected in lazy.items():
+        torch.testing.assert_close(dense_state[name], expected, rtol=1e-4, atol=1e-6)
+
+
 def test_a_restored_dense_training_continues_exactly() -> None:
     settings = replace(SETTINGS, refinement=replace(SETTINGS.refinement, least_steps=4))
     whole = trained(settings, 24, dense=True)

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from hybridworldsim.model.dense_adam import TableAdam
+from hybridworldsim.model.dense_adam import DenseAdam, TableAdam
 from hybridworldsim.model.densification.cells import grow_anchors
 from hybridworldsim.model.densification.image_gradients import ImageGradients
 from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.nodes.anchors import Anchors
+from hybridworldsim.model.plain.decoding import visible_mask
 from hybridworldsim.model.settings import AnchorRefinement
 from hybridworldsim.model.splats import DecodedSplats
 from hybridworldsim.trainable.viewpoint import Viewpoint
@@ -46,12 +47,20 @@ class AnchorRefiner:
         offsets = part.rows[gradients.rows]
         self._gradient_sum.view(-1).index_add_(0, offsets, gradients.lengths)
         self._render_count.view(-1).index_add_(0, offsets, gradients.shown)
-        self._opacity_sum.index_add_(0, part.rows // self._node.k, part.opacities.detach())
+        parents, opacities = part.rows // self._node.k, part.opacities.detach()
+        centre = viewpoint.centre.to(self._nearest_m.device, non_blocking=True)
+        if isinstance(self._tables, DenseAdam):
+            # All anchors were decoded: those that the viewpoint may see count. To select them would wait for a GPU.
+            seen = visible_mask(viewpoint, self._node.means, self._node.reach_m())
+            self._opacity_sum.index_add_(0, parents, torch.where(seen[parents], opacities, 0.0))
+            self._visit_count += seen
+            distance = (self._node.means - centre).norm(dim=1)
+            self._nearest_m = torch.where(seen, torch.minimum(self._nearest_m, distance), self._nearest_m)
+            return
+        self._opacity_sum.index_add_(0, parents, opacities)
         if part.anchor_ids is not None:
             self._visit_count[part.anchor_ids] += 1.0
-            distance = (
-                self._node.means[part.anchor_ids] - viewpoint.centre.to(self._nearest_m.device, non_blocking=True)
-            ).norm(dim=1)
+            distance = (self._node.means[part.anchor_ids] - centre).norm(dim=1)
             self._nearest_m[part.anchor_ids] = torch.minimum(self._nearest_m[part.anchor_ids], distance)
 
     @torch.no_grad()

@@ -77,8 +77,8 @@ class Arguments:
 
     recordings: Annotated[tyro.conf.Positional[tuple[Path, ...]], help_text(default="none", metavar="RECORDING...")]
     """One path per drive, a folder or file that a reader recognises; or a folder of recordings."""
-    out: Annotated[Path | None, help_text(default="none", metavar="DATASET")] = None
-    """Folder of the dataset, new or existing. Required unless --dry-run is given."""
+    out: Annotated[str | None, help_text(default="none", metavar="DATASET")] = None
+    """Folder of the dataset, new or existing, or s3://BUCKET/PATH. Required unless --dry-run is given."""
     rois: Annotated[Path | None, help_text(default="none; the dataset keeps its own", metavar="FILE")] = None
     """GeoJSON or CSV file of regions of interest."""
     roi: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="LON,LAT[,RADIUS_M[,ID]]")] = ()
@@ -105,14 +105,16 @@ class Arguments:
     """Decode every image, and refuse those that cannot be decoded."""
     max_missing_images: float = 0.0
     """Share of a recording's images whose files may be missing, 0 to 1; the drive is ingested without them."""
-    images: Literal["jpeg", "video"] = "jpeg"
-    """How frames of recorded videos are stored: as JPEG images, or as the recording's own compressed video."""
+    images: Literal["jpeg", "video", "shards"] = "jpeg"
+    """How images are stored. jpeg: a file each, also frames of recorded videos. video: those as the recording's own
+    compressed video. shards: side by side in tar archives of 64 MiB, frame by frame."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Number of threads."""
     dry_run: bool = False
     """Evaluate the passes and print them. Nothing is written."""
     verify: bool = False
-    """Also hash the images of recordings with unchanged sizes and times."""
+    """Also hash the images of recordings with unchanged sizes and times, and the dataset's tables of unchanged drives:
+    what is damaged is made again."""
     replace: bool = False
     """Ingest a drive again if its recording has changed, and replace another map of a scene."""
     fail_fast: bool = False
@@ -128,7 +130,7 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror ingest", examples=_EXAMPLES, renamed=RENAMED_THRESHOLDS)
-    is_dataset = arguments.out is not None and (arguments.out / "dataset.json").is_file()
+    is_dataset = arguments.out is not None and (Path(arguments.out) / "dataset.json").is_file()
     if not arguments.recordings and not (arguments.map and is_dataset):
         raise UsageError("no recording given", expected="mirror ingest RECORDING... --rois FILE --out DATASET")
     if not 0.0 <= arguments.max_missing_images <= 1.0:
@@ -159,7 +161,8 @@ def main(argv: Sequence[str]) -> int:
             transfer="copy" if arguments.copy else "link",
             hashing=arguments.hash,
             decoding=arguments.verify_images,
-            videos=arguments.images,
+            videos="video" if arguments.images == "video" else "jpeg",
+            shards=arguments.images == "shards",
         ),
         workers=arguments.workers,
         dry_run=arguments.dry_run,
@@ -171,7 +174,7 @@ def main(argv: Sequence[str]) -> int:
         max_missing_images=arguments.max_missing_images,
         maps=arguments.map,
     )
-    out = arguments.out or Path("dry-run")
+    out = arguments.out or "dry-run"
     with progress_bar(quiet=arguments.json) as bar:
         report = ingest_recordings(search.recordings, rois, out, options, bar)
     for _, error in report.failures:
@@ -222,7 +225,7 @@ def reader_options(pairs: Sequence[str], **named: str | None) -> dict[str, str]:
     return options
 
 
-def _plain(report: IngestReport, out: Path) -> dict[str, object]:
+def _plain(report: IngestReport, out: str) -> dict[str, object]:
     return {
         "dataset": str(out),
         "drives": {
@@ -272,7 +275,7 @@ def _print_licences(report: IngestReport) -> None:
         print(f"licence: {report.licence}")
 
 
-def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
+def _print(report: IngestReport, out: str, *, dry_run: bool) -> None:
     from rich.table import Table
 
     from mirror.cli.output import plain_console

@@ -18,6 +18,7 @@ from typing import Any, Final, Protocol
 
 from mirror.dataset.store import S3_OPTIONS, Store
 from mirror.errors import DatasetError, UnwritableError, UsageError
+from mirror.installation import install_command
 from mirror.schema.commit import commit_bytes, commit_file, commit_folder, conflict_error, files_below
 
 _SCHEME: Final = "s3://"
@@ -263,9 +264,7 @@ def _open_s3(url: str) -> Any:
     try:
         import s3fs
     except ImportError as error:
-        raise UsageError(
-            f"{error}", file=url, expected="the package s3fs", remedy="pip install 'mirror-dataset[s3]'"
-        ) from error
+        raise UsageError(f"{error}", file=url, expected="the package s3fs", remedy=install_command("s3")) from error
     return s3fs.S3FileSystem(**S3_OPTIONS)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from mirror.dataset.layout import Layout, complete_manifest, is_intact
 from mirror.errors import RecordingError
 from mirror.ingest.drive import are_traversals_intact, verify_source
+from mirror.ingest.known_drives import KnownDrives
 from mirror.ingest.passes import DrivePasses, find_drive_passes, fingerprint
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.settings import IngestSettings
@@ -41,7 +42,12 @@ class PreparedDrive:
 
 
 def prepare(
-    path: Path, layout: Layout, options: IngestOptions, settings: IngestSettings, trigger: RoiTrigger
+    path: Path,
+    layout: Layout,
+    options: IngestOptions,
+    settings: IngestSettings,
+    trigger: RoiTrigger,
+    known: KnownDrives,
 ) -> PreparedDrive:
     """Open and judge a recording, unless it is complete in the dataset.
 
@@ -51,6 +57,7 @@ def prepare(
         options: of the run.
         settings: of the run.
         trigger: for its scenes.
+        known: the drives that the dataset has.
 
     Raises:
         RecordingError: the recording cannot be used, or its id belongs to another one.
@@ -68,6 +75,15 @@ def prepare(
             recording = without_missing_images(recording, options.max_missing_images)
         with _missing_images_named(recording):
             source = fingerprint(recording, reader, path.resolve().name)
+    is_trusted = not (options.dry_run or options.replace or options.verify)
+    if is_trusted and known.has_unchanged(drive_id, source.fingerprint, settings.configuration, settings.scenes):
+        return PreparedDrive(drive_id, None)
+    if known.is_final and drive_id in known.sources:
+        raise RecordingError(
+            f"drive {drive_id!r} is in the dataset already, from other files or with other options", file=path,
+            expected="the recording as it was: a bucket is only added to",
+            remedy="give the recording another drive id, or give another --out",
+        )  # fmt: skip
     if _is_unchanged(path, recording, source, layout, options, settings) and not options.dry_run:
         return PreparedDrive(drive_id, None)
     drive = find_drive_passes(path, recording, source, trigger, settings.rois, settings.document.cleaning)
@@ -118,10 +134,12 @@ def _is_unchanged(
             expected=f"the recording {document.source.name!r} as it was",
             remedy="give the recording another drive id, or add --replace to ingest it again",
         )
+    if not settings.scenes.issubset(document.scenes) or not are_traversals_intact(layout, document.drive_id):
+        return False
     if options.verify:
         with reader_errors(path):
             verify_source(layout, recording, document.drive_id)
-    return set(document.scenes) >= settings.scenes and are_traversals_intact(layout, document.drive_id)
+    return True
 
 
 def _same_source(layout: Layout, drive_id: str, source: RecordingSource, configuration: str) -> bool:

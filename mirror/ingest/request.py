@@ -52,7 +52,7 @@ class IngestOptions:
         write: how traversals are written.
         workers: threads.
         dry_run: judge only, write nothing.
-        verify: hash the source images of drives that look unchanged.
+        verify: hash the source images of drives that look unchanged, and the dataset's tables of them.
         replace: drop a drive of the same id whose recording has changed, and another map of the same scene.
         fail_fast: stop at the first drive that cannot be ingested.
         wait: wait for another writer of the dataset.

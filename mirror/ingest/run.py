@@ -15,6 +15,7 @@ drive's poses is kept after it, so that memory does not grow with the number of 
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,13 +24,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
+from mirror.dataset.destination import BucketDestination, Destination, destination_at
 from mirror.dataset.generation import FOLDER as SUPERSEDED
 from mirror.dataset.generation import recover
 from mirror.dataset.index import append_drives, build_index
 from mirror.dataset.layout import Layout
 from mirror.dataset.lock import adding, replacing, writer_lock
+from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
+from mirror.ingest.bucket import BucketStaging, commit_plan, fetch_plan, refuse_options_of_folders
 from mirror.ingest.drive import refuse_conflicting_rig, seal_drive, uncalibrated_cameras
+from mirror.ingest.known_drives import KnownDrives
 from mirror.ingest.maps import add_maps, judge_maps, read_given_maps
 from mirror.ingest.passes import DrivePasses
 from mirror.ingest.prepare import PreparedDrive, prepare
@@ -59,7 +64,7 @@ class _StoppedError(BaseException):
 def ingest_recordings(
     recordings: Sequence[Path],
     rois: Sequence[Roi],
-    out: Path,
+    out: Path | str,
     options: IngestOptions | None = None,
     progress: ProgressReporter | None = None,
 ) -> IngestReport:
@@ -75,7 +80,7 @@ def ingest_recordings(
         recordings: one path per drive, in any format that a recording reader recognises.
         rois: scenes to cut out: circles with a centre (degrees, or metres in a local frame) and a radius in metres.
             They are added to those of an existing dataset, which may make this list empty.
-        out: the dataset's folder; it is made if it does not exist.
+        out: the dataset's folder, which is made if it does not exist; or ``s3://BUCKET/PATH``.
         options: reader, thresholds, workers and how files are written; None: the defaults.
         progress: receives the number of drives and images done; None: nothing is reported.
 
@@ -84,8 +89,8 @@ def ingest_recordings(
         with its error and adds nothing to the dataset.
 
     Raises:
-        UsageError: there is no ROI, a ROI or an option is invalid, a road map is of another scene, or the folder holds
-            something other than a dataset.
+        UsageError: there is no ROI, a ROI or an option is invalid, a road map is of another scene, the folder holds
+            something other than a dataset, or the URL is that of a store that is not written.
         DatasetError: another process writes the dataset and this run does more than add drives, its thresholds differ,
             another process committed other bytes under the same name, or it cannot be written.
         SchemaError: a road map is broken.
@@ -99,11 +104,15 @@ def ingest_recordings(
         report = mirror.ingest_recordings([Path("drive_1")], read_rois(Path("rois.geojson")), Path("dataset"))
         print(len(report.traversals), "traversals,", len(report.failures), "recordings failed")
     """
-    options, progress, layout = options or IngestOptions(), progress or NullProgress(), Layout(out)
+    options, progress = options or IngestOptions(), progress or NullProgress()
     if options.workers < 1:
         raise UsageError(f"{options.workers} workers", expected="at least one")
     if options.weather_plugin is not None:
         CLASSIFIERS.find(options.weather_plugin)
+    if "://" in str(out):
+        return _ingest_into_bucket(recordings, rois, destination_at(out), options, progress)
+    out = Path(out)
+    layout = Layout(out)
     if options.dry_run:
         run = _Run(layout, options, progress, merge_settings(layout, options, rois))
         judge_maps(layout, read_given_maps(options.maps, run.settings.rois), replace=options.replace)
@@ -132,6 +141,36 @@ def ingest_recordings(
     except OSError as error:
         # Files are written through functions that say so themselves; what is left are folders.
         raise unwritable_error(Path(error.filename or out), error) from error
+    return run.report
+
+
+def _ingest_into_bucket(
+    recordings: Sequence[Path],
+    rois: Sequence[Roi],
+    destination: Destination,
+    options: IngestOptions,
+    progress: ProgressReporter,
+) -> IngestReport:
+    """Cut recordings into a dataset in a bucket; see `ingest_recordings`."""
+    if not isinstance(destination, BucketDestination):
+        raise UsageError("not a bucket", file=destination.store.root, expected="s3://BUCKET/PATH")
+    refuse_options_of_folders(options, destination.url)
+    with tempfile.TemporaryDirectory(prefix="mirror-ingest-") as folder:
+        scratch = Layout(Path(folder))
+        fetch_plan(destination, scratch)
+        if not rois and not scratch.document.exists():
+            raise missing_roi_error()
+        settings = merge_settings(scratch, options, rois)
+        known = KnownDrives.read(destination.store) if scratch.document.exists() else KnownDrives()
+        run = _Run(scratch, options, progress, settings, known)
+        if options.dry_run:
+            run.work(recordings)
+            return run.report
+        commit_plan(destination, settings, scratch)
+        staging = BucketStaging(scratch, destination)
+        run.work(recordings, staging)
+        run.report.licence = settings.document.licence
+        staging.append()
     return run.report
 
 
@@ -228,13 +267,19 @@ class _Run:
     """One pass over all recordings, in their order: which of two that contradict each other fails depends on it."""
 
     def __init__(
-        self, layout: Layout, options: IngestOptions, progress: ProgressReporter, settings: IngestSettings
+        self,
+        layout: Layout,
+        options: IngestOptions,
+        progress: ProgressReporter,
+        settings: IngestSettings,
+        known: KnownDrives | None = None,
     ) -> None:
         self.layout = layout
         self.options = options
         self.progress = progress
         self.settings = settings
         self.report = IngestReport()
+        self._known = KnownDrives.read(Store(layout.root)) if known is None else known
         self._rois = {roi.scene_id: roi for roi in settings.rois}
         self._trigger = settings.trigger()
         self._owners: dict[str, Path] = {}
@@ -273,7 +318,7 @@ class _Run:
         self.report.traversals.sort(key=lambda one: one.traversal_id)
 
     def _prepare(self, path: Path) -> PreparedDrive:
-        return prepare(path, self.layout, self.options, self.settings, self._trigger)
+        return prepare(path, self.layout, self.options, self.settings, self._trigger, self._known)
 
     def _taken(self, path: Path, future: Future[PreparedDrive], staging: Staging | None) -> PreparedDrive | None:
         """A drive that can be written; None: it failed."""
@@ -348,6 +393,7 @@ class _Run:
             seal_drive(
                 staging, drive, sorted(self.settings.scenes), self.settings.configuration, self.options.weather_plugin
             )
+            staging.take(info.drive_id)
         except MirrorError as error:
             staging.forget(info.drive_id)
             self._fail(drive.path, error)

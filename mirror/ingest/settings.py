@@ -97,6 +97,8 @@ def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
     if options.write.videos != "jpeg":
         # Absent for the default, so that datasets of earlier versions keep their hash.
         decisive["videos"] = options.write.videos
+    if options.write.shards:
+        decisive["shards"] = True
     if options.max_missing_images:
         decisive["max_missing_images"] = options.max_missing_images
     return hash_document(decisive)

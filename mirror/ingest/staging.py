@@ -13,11 +13,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from mirror.dataset.destination import Destination, FolderDestination
 from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MANIFEST, Layout, complete_manifest
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
 from mirror.dataset.unfinished_work import drop_work
-from mirror.schema.commit import commit_file, commit_folder
 from mirror.schema.files import unmovable_error
 
 FOLDER: Final = ".staging"
@@ -121,22 +121,13 @@ class Staging:
             ConflictError: a file is there with other bytes.
             DatasetError: the dataset cannot be written.
         """
-        for rig in sorted((self.layout.root / "rigs").glob("*"), key=lambda path: path.suffix == ".json"):
-            commit_file(rig, self.dataset.root / "rigs" / rig.name)
         drives = self.layout.drive_ids()
         for drive_id in drives:
-            manifest = complete_manifest(self.layout.drive(drive_id))
-            for name in sorted(_traversals({} if manifest is None else manifest.derived_from)):
-                if self.layout.traversal(name).exists():
-                    # Its layers come first: a complete traversal is not written again.
-                    self._commit_layers(name)
-                    commit_folder(self.layout.recorded(name), self.dataset.recorded(name), MANIFEST)
-            commit_folder(self.layout.drive(drive_id), self.dataset.drive(drive_id), MANIFEST)
+            commit_drive(self.layout, drive_id, FolderDestination(self.dataset.root))
         return drives
 
-    def _commit_layers(self, name: str) -> None:
-        for layer in self.layout.layers(name):
-            commit_folder(self.layout.layer(name, *layer), self.dataset.layer(name, *layer), MANIFEST)
+    def take(self, drive_id: str) -> None:
+        """Take a sealed drive; it stays in the folder until all are committed."""
 
     def publish(self) -> None:
         """Move every complete drive into the dataset, with its traversals and its rig; the drive comes last.
@@ -181,6 +172,35 @@ class Staging:
             self.own_folder.release()
         with suppress(OSError):
             (self.dataset.root / FOLDER).rmdir()
+
+
+def commit_drive(layout: Layout, drive_id: str, destination: Destination) -> None:
+    """Give the files of a complete drive their names in a dataset: rigs, traversals, and its manifest last.
+
+    Args:
+        layout: the folder with the drive, laid out like a dataset.
+        drive_id: the drive.
+        destination: the dataset.
+
+    Raises:
+        ConflictError: a file is there with other bytes.
+        DatasetError: the dataset cannot be written.
+    """
+    root = layout.root
+    for rig in sorted((root / "rigs").glob("*"), key=lambda path: path.suffix == ".json"):
+        destination.commit_file(rig, rig.relative_to(root).as_posix())
+
+    def commit(folder: Path) -> None:
+        destination.commit_folder(folder, folder.relative_to(root).as_posix(), MANIFEST)
+
+    manifest = complete_manifest(layout.drive(drive_id))
+    for name in sorted(_traversals({} if manifest is None else manifest.derived_from)):
+        if layout.traversal(name).exists():
+            # Its layers come first: a complete traversal is not written again.
+            for layer in layout.layers(name):
+                commit(layout.layer(name, *layer))
+            commit(layout.recorded(name))
+    commit(layout.drive(drive_id))
 
 
 def _traversals(derived_from: Mapping[str, str]) -> set[str]:

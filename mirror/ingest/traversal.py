@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.arrays import Int64
+from mirror.dataset.images.shards import pack_images
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
 from mirror.errors import RecordingError, SchemaError
 from mirror.ingest.images import PlacedImages, Transfer, place_images, refer_to_images
@@ -43,12 +44,14 @@ class WriteOptions:
         hashing: read and hash every image.
         decoding: decode every image.
         videos: what becomes of the frames of a recorded video: images, or the compressed video of the stretch.
+        shards: put images side by side into tar archives, frame by frame, instead of a file each.
     """
 
     transfer: Transfer = "link"
     hashing: bool = True
     decoding: bool = False
     videos: Literal["jpeg", "video"] = "jpeg"
+    shards: bool = False
 
 
 @dataclass(frozen=True)
@@ -215,9 +218,12 @@ def _write(
         refuse_other_image_sizes(camera, here.width_px, here.height_px, sources, calibrations)
         if (mask := masks.get(camera)) is not None:
             refuse_other_mask_size(camera, mask, here.width_px, here.height_px, sources)
+    images = _image_table(name, drive, streams, placed)
+    if options.shards and images.num_rows:
+        images = pack_images(images, layout.root, f"traversals/{name}/recorded")
     tables: list[tuple[Table, pa.Table]] = [
         (EGO_POSES, build_pose_table(drive.slices[number], roi, drive)),
-        (IMAGES, _image_table(name, drive, streams, placed)),
+        (IMAGES, images),
         (CALIBRATIONS, calibrations),
     ]
     files: dict[str, bytes] = {}
@@ -227,7 +233,7 @@ def _write(
     count = sum(len(one_camera.names) for one_camera in placed.values())
     total = sum(one_camera.bytes for one_camera in placed.values())
     seal(folder, files, derived_from=derived_from, images=ImageTotals(count=count, bytes=total))
-    linked = sum(one_camera.linked for one_camera in placed.values())
+    linked = 0 if options.shards else sum(one_camera.linked for one_camera in placed.values())
     return _with_lost_images(WriteReport(name, count, total, linked, reused=False), drive, number)
 
 

@@ -53,7 +53,7 @@ class Bucket:
         delay_s: what each answer waits.
         hold_s: how long a conditional put keeps its name to itself.
         is_lenient: ignore ``If-None-Match``, as some servers do.
-        refusals: statuses that the next conditional requests get, whatever they ask.
+        refusals: statuses that the next conditional requests get; 200: what they deserve.
     """
 
     objects: dict[str, bytes] = field(default_factory=dict)
@@ -180,8 +180,9 @@ class _Handler(BaseHTTPRequestHandler):
             bucket.objects[key] = data
             return 200, answer, {"ETag": _etag(data)}
         with bucket.lock:
-            if bucket.refusals:
-                return _refusal(bucket.refusals.pop(0))
+            refusal = bucket.refusals.pop(0) if bucket.refusals else 200
+            if refusal != 200:
+                return _refusal(refusal)
             if key in bucket.held:
                 return _refusal(409)
             if key in bucket.objects:

@@ -85,9 +85,17 @@ DAMAGE = {
 def test_the_same_command_mends_it(damage: str, replace: bool, drives: list[Path], out: Path) -> None:
     before = tree(out)
     DAMAGE[damage](out)
-    report = ingest_recordings(drives, [SCENE], out, IngestOptions(replace=replace))
+    report = ingest_recordings(drives, [SCENE], out, IngestOptions(replace=replace, verify=not replace))
     assert not report.failures
     assert tree(out) == before
+
+
+@pytest.mark.parametrize("lost", ["drives/a", "traversals/street.a.1700000007500"])
+def test_what_is_lost_as_a_whole_comes_back_without_verifying(lost: str, drives: list[Path], out: Path) -> None:
+    before = tree(out)
+    shutil.rmtree(out / lost)
+    assert ingest_recordings(drives, [SCENE], out).unchanged == ["b"]
+    assert compact_tree(out) == before
 
 
 def test_a_lost_image_comes_back_with_replace(drives: list[Path], out: Path) -> None:

@@ -248,7 +248,7 @@ def _require_recorded_sizes(layout: Layout, inputs: IndexInputs) -> None:
                     "missing" if size is None else f"has {size:,} bytes: it is cut off, or was changed",
                     file=path,
                     expected=f"{entry.bytes:,} bytes, as its manifest says",
-                    remedy=f"run the same `mirror ingest` again for drive {item.drive.drive_id}; "
+                    remedy=f"run the same `mirror ingest` again with --verify for drive {item.drive.drive_id}; "
                     "`mirror check` lists all that is broken",
                 )
 

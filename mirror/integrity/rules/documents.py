@@ -53,7 +53,7 @@ def _rig(view: DatasetView) -> Iterator[Finding]:
     "DS004",
     Severity.ERROR,
     title="A drive.json is missing or broken, or in the folder of another drive.",
-    remedy="run the same `mirror ingest` again",
+    remedy="run the same `mirror ingest` again with --verify",
 )
 def _drive_document(view: DatasetView) -> Iterator[Finding]:
     for name, document in view.drives.items():
@@ -66,7 +66,7 @@ def _drive_document(view: DatasetView) -> Iterator[Finding]:
     "DS005",
     Severity.ERROR,
     title="A manifest.json is broken.",
-    remedy="run the same `mirror ingest` again, or write the layer again",
+    remedy="run the same `mirror ingest` again with --verify, or write the layer again",
 )
 def _manifest(view: DatasetView) -> Iterator[Finding]:
     _ = view.folder_manifests
@@ -79,7 +79,7 @@ def _manifest(view: DatasetView) -> Iterator[Finding]:
     "DS006",
     Severity.WARNING,
     title="A folder has no manifest: a run was interrupted there, and readers pass it over.",
-    remedy="run the same `mirror ingest` again: it finishes or removes the folder",
+    remedy="run the same `mirror ingest` again with --verify: it finishes or removes the folder",
 )
 def _incomplete_folder(view: DatasetView) -> Iterator[Finding]:
     for folder in view.folders_with_manifest():
@@ -91,7 +91,7 @@ def _incomplete_folder(view: DatasetView) -> Iterator[Finding]:
     "DS007",
     Severity.ERROR,
     title="A drive names a traversal that is missing, or that is not the one it was written with.",
-    remedy="run the same `mirror ingest` again",
+    remedy="run the same `mirror ingest` again with --verify",
 )
 def _named_traversal(view: DatasetView) -> Iterator[Finding]:
     for traversal_id, (drive, expected) in view.named_traversals.items():
@@ -106,7 +106,7 @@ def _named_traversal(view: DatasetView) -> Iterator[Finding]:
     "DS008",
     Severity.WARNING,
     title="A traversal is complete, but no drive names it, so that readers pass it over.",
-    remedy="run the same `mirror ingest` again, or remove the folder",
+    remedy="run the same `mirror ingest` again with --verify, or remove the folder",
 )
 def _orphan_traversal(view: DatasetView) -> Iterator[Finding]:
     for traversal_id in view.recorded_manifests:

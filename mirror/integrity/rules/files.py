@@ -15,7 +15,7 @@ from mirror.schema.files import sha256_bytes
     Severity.ERROR,
     title="A file that a manifest lists is missing.",
     cost=Cost.FILES,
-    remedy="run the same `mirror ingest` again; for index/: `mirror index`",
+    remedy="run the same `mirror ingest` again with --verify; for index/: `mirror index`",
 )
 def _missing_file(view: DatasetView) -> Iterator[Finding]:
     for path, _ in view.listed_files():
@@ -28,7 +28,7 @@ def _missing_file(view: DatasetView) -> Iterator[Finding]:
     Severity.ERROR,
     title="A file has another size than its manifest says.",
     cost=Cost.FILES,
-    remedy="run the same `mirror ingest` again; for index/: `mirror index`",
+    remedy="run the same `mirror ingest` again with --verify; for index/: `mirror index`",
 )
 def _file_size(view: DatasetView) -> Iterator[Finding]:
     for path, entry in view.listed_files():
@@ -41,7 +41,7 @@ def _file_size(view: DatasetView) -> Iterator[Finding]:
     Severity.ERROR,
     title="A file of the right size has other bytes than its manifest says.",
     cost=Cost.IMAGES,
-    remedy="run the same `mirror ingest` again; for index/: `mirror index`",
+    remedy="run the same `mirror ingest` again with --verify; for index/: `mirror index`",
 )
 def _file_hash(view: DatasetView) -> Iterator[Finding]:
     for path, entry in view.listed_files():

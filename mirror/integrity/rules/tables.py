@@ -23,7 +23,7 @@ from mirror.schema.tables import EGO_POSES
     "TAB001",
     Severity.ERROR,
     title=("A traversal's table cannot be read: cut short, of another schema version, a wrong column, or a null."),
-    remedy="run the same `mirror ingest` again, or write the layer again",
+    remedy="run the same `mirror ingest` again with --verify, or write the layer again",
 )
 def _unreadable_table(view: SceneView) -> Iterator[Finding]:
     view.tables()
@@ -35,7 +35,7 @@ def _unreadable_table(view: SceneView) -> Iterator[Finding]:
     "TAB002",
     Severity.ERROR,
     title="A ledger or the index's list of row groups cannot be read, as in TAB001.",
-    remedy="run the same `mirror ingest` again; for index/: `mirror index --force`",
+    remedy="run the same `mirror ingest` again with --verify; for index/: `mirror index --force`",
 )
 def _unreadable_ledger(view: DatasetView) -> Iterator[Finding]:
     _ = view.passes, view.index_row_groups

@@ -13,7 +13,7 @@ import pytest
 
 from mirror.errors import UsageError
 from mirror.geometry.rolling_shutter import RollingShutter
-from mirror.synth import SynthDrive, make_drives, parse_readouts, write_recordings
+from mirror.synth import PRESETS, SynthDrive, make_drives, parse_readouts, write_recordings
 from mirror.synth.render.scene import RollingImage
 from mirror.synth.rigs import CameraReadout
 from mirror.synth.truth.flow import rolling_flow
@@ -22,8 +22,14 @@ CAMERA, READOUT_NS = "front_wide", 60_000_000
 AFTER_NS = 6_000_000_000
 
 
+@pytest.fixture(autouse=True)
+def _smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each line of an image is rendered by itself: few and small images."""
+    monkeypatch.setitem(PRESETS, "smaller", replace(PRESETS["tiny"], name="smaller", width_px=64, image_hz=0.1))
+
+
 def _drive(direction: str) -> SynthDrive:
-    drive = make_drives("tiny", 0)[1][0]
+    drive = make_drives("smaller", 0)[1][0]
     readouts = (CameraReadout(CAMERA, direction, READOUT_NS),)  # type: ignore[arg-type]
     return replace(drive, vehicle=replace(drive.vehicle, readouts=readouts))
 
@@ -62,7 +68,7 @@ def test_flow_ends_at_the_line_that_sees_the_point_later() -> None:
     later = stamp + 100_000_000
     flow = rolling_flow(image.view.distance_m, camera, shutter, partial(poses_at, stamp), partial(poses_at, later))
     checked = 0
-    for row, column in ((camera.height_px - 8, 20), (camera.height_px // 2 + 6, 40), (camera.height_px - 4, 90)):
+    for row, column in ((camera.height_px - 4, 8), (camera.height_px // 2 + 3, 16), (camera.height_px - 2, 36)):
         start = poses_at(stamp, shutter.line_offsets_ns()[row : row + 1])
         ray = camera.rays().direction[row, column]
         point = start.transform(image.view.distance_m[row, column] * ray[None]).reshape(3)
@@ -81,7 +87,7 @@ def test_flow_ends_at_the_line_that_sees_the_point_later() -> None:
 def test_a_recording_states_the_shutters_and_widens_exposures(tmp_path: Path) -> None:
     out = tmp_path / "recordings"
     write_recordings(
-        out, "tiny", traversals=1, readouts=parse_readouts("front_wide=top_to_bottom:30,rear=left_to_right:12.5"),
+        out, "smaller", traversals=1, readouts=parse_readouts("front_wide=top_to_bottom:30,rear=left_to_right:12.5"),
         truth=("depth", "flow"), workers=2,
     )  # fmt: skip
     recording = next(path for path in out.iterdir() if (path / "calibrations").is_dir())
@@ -104,12 +110,12 @@ def test_a_recording_states_the_shutters_and_widens_exposures(tmp_path: Path) ->
         ("front=top_to_bottom:30", "no camera 'front'"),
         ("rear=top_to_bottom:30,rear=left_to_right:30", "two shutters of camera rear"),
         ("top_to_bottom:-3", "a readout of '-3'"),
-        ("top_to_bottom:2700", "is read out in 2700 ms"),
+        ("top_to_bottom:13500", "is read out in 13500 ms"),
     ],
 )
 def test_shutters_that_cannot_be_are_refused(text: str, problem: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=problem) as caught:
-        write_recordings(tmp_path / "out", "tiny", readouts=parse_readouts(text))
+        write_recordings(tmp_path / "out", "smaller", readouts=parse_readouts(text))
     assert caught.value.place == "--rolling-shutter"
     assert not (tmp_path / "out").exists()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Sequence
@@ -10,16 +11,42 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+import mirror
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
+from mirror.dataset.splits import make_split
 from mirror.export.publish import PublishOptions, PublishReport, publish
+from mirror.ingest.request import IngestOptions
+from mirror.ingest.rois import read_rois
+from mirror.ingest.run import ingest_recordings
 from mirror.protocols.document import Protocol
 from mirror.schema.bundle import Bundle
-from mirror.schema.files import read_table
+from mirror.schema.documents import NovelTraversal
+from mirror.schema.files import read_table, write_json
 from mirror.schema.tables import IMAGES
 from tests.evaluation.submissions import SPLIT, small
+
+CAMERAS = ("front_wide", "front_left", "rear")
+
+
+def write_three_cameras(recordings: Sequence[Path], folder: Path) -> Dataset:
+    """Write the dataset of two recordings in the folder layout as if there were three cameras, with a split."""
+    for recording in recordings:
+        copy = shutil.copytree(recording, folder / recording.name, copy_function=os.link)
+        document = json.loads((recording / "recording.json").read_bytes())
+        document["cameras"] = {name: document["cameras"][name] for name in CAMERAS}
+        write_json(copy / "recording.json", document)
+        for file in (copy / "calibrations").iterdir():
+            rows = [row for row in json.loads(file.read_bytes()) if row["camera"] in CAMERAS]
+            write_json(file, rows)
+    rois = read_rois(recordings[0].parent / "rois.geojson")
+    copies = [folder / recording.name for recording in recordings]
+    report = ingest_recordings(copies, rois, folder / "dataset", IngestOptions())
+    assert not report.failures, report.failures
+    make_split(folder / "dataset", SPLIT, NovelTraversal(train=1, held_out=1))
+    return mirror.open(folder / "dataset")
 
 
 def copied(dataset: Dataset, root: Path) -> Path:

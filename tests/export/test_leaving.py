@@ -32,19 +32,26 @@ from mirror.schema.bundle import BUNDLE
 from mirror.schema.documents import FileEntry, Manifest
 from mirror.schema.files import encode_table, read_json, read_table, sha256_bytes, write_json
 from mirror.schema.tables import IMAGES, MASKS
+from mirror.synth import SynthReport
 from tests.evaluation.submissions import SPLIT, small
-from tests.export.leaving import copied, publish_to, recorded_images, redact, sealed
-
-
-@pytest.fixture
-def root(tiny_dataset: Dataset, tmp_path: Path) -> Path:
-    return copied(tiny_dataset, tmp_path / "dataset")
+from tests.export.leaving import copied, publish_to, recorded_images, redact, sealed, write_three_cameras
 
 
 @pytest.fixture(scope="module")
-def redacted_street(tiny_dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+def street(tiny_recordings: SynthReport, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """The street through three of its cameras, since every image is hashed and decoded; tests do not change it."""
+    return write_three_cameras(tiny_recordings.recordings[:2], tmp_path_factory.mktemp("street"))
+
+
+@pytest.fixture
+def root(street: Dataset, tmp_path: Path) -> Path:
+    return copied(street, tmp_path / "dataset")
+
+
+@pytest.fixture(scope="module")
+def redacted_street(street: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """The street with a redaction layer; tests do not change it."""
-    root = copied(tiny_dataset, tmp_path_factory.mktemp("redacted") / "dataset")
+    root = copied(street, tmp_path_factory.mktemp("redacted") / "dataset")
     redact(root)
     return mirror.open(root)
 
@@ -394,8 +401,7 @@ def test_an_export_shows_images_as_they_are_now(root: Path, tmp_path: Path, layo
     assert files_below(out) == files_below(whole)
 
 
-def test_a_photo_saved_as_the_mask_of_a_rig_is_published_as_an_outline(tiny_dataset: Dataset, tmp_path: Path) -> None:
-    root = copied(tiny_dataset, tmp_path / "dataset")
+def test_a_photo_saved_as_the_mask_of_a_rig_is_published_as_an_outline(root: Path, tmp_path: Path) -> None:
     masks = sorted(root.glob("rigs/*.png"))
     image = cv2.imread(str(next(root.glob("traversals/*/recorded/*/*.jpg"))), cv2.IMREAD_GRAYSCALE)
     for mask in masks:

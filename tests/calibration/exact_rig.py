@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from mirror.calibration.rig import TrackedRig
 from mirror.calibration.tracking import PairTracks
@@ -17,9 +18,12 @@ CAMERAS = {
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-def about_z(yaw_deg: float) -> np.ndarray:
-    cos, sin = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+def about_z(yaw_deg: npt.ArrayLike) -> np.ndarray:
+    """Rotations (..., 3, 3) by angles (...)."""
+    yaw = np.radians(yaw_deg)
+    cos, sin, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
+    rows = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=-1)
+    return rows.reshape(*yaw.shape, 3, 3)
 
 
 def mountings() -> dict[str, Poses]:
@@ -36,7 +40,7 @@ def way(turn_deg: float, frames: int, step_m: float = 2.0) -> Poses:
     headings = np.radians(yaws)
     steps = step_m * np.stack([np.cos(headings), np.sin(headings), np.zeros(frames)], axis=1)
     places = np.cumsum(steps, axis=0)
-    return Poses(quaternion_from_matrix(np.stack([about_z(yaw) for yaw in yaws])), places)
+    return Poses(quaternion_from_matrix(about_z(yaws)), places)
 
 
 def exact_rig(

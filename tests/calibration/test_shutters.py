@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,8 +23,12 @@ from tests.calibration.moving_rigs import stack
 FRAMES, STEP_S = 14, 0.4
 
 
-def _poses(times_s: np.ndarray, turning: bool) -> Poses:
-    """A drive of 6 m/s and more whose rate of turn grows from 0 to 40 degrees a second and falls again."""
+@cache
+def _way(turning: bool) -> np.ndarray:
+    """Times in seconds, headings in radians, x and y in metres, (4, 4001), of a drive of 6 m/s and more.
+
+    Its rate of turn grows from 0 to 40 degrees a second and falls again.
+    """
     grid = np.linspace(-0.2, FRAMES * STEP_S + 0.2, 4001)
     rate = (
         np.radians(40.0) * np.sin(np.pi * np.clip(grid / (FRAMES * STEP_S), 0.0, 1.0)) ** 2 if turning else 0.0 * grid
@@ -32,9 +37,15 @@ def _poses(times_s: np.ndarray, turning: bool) -> Poses:
     speed = 6.0 + (0.8 * grid if turning else 0.0 * grid)
     steps = [speed * np.cos(yaw), speed * np.sin(yaw)]
     x, y = (np.concatenate([[0.0], np.cumsum(0.5 * (one[1:] + one[:-1]) * np.diff(grid))]) for one in steps)
-    at = np.interp(times_s, grid, yaw)
+    return np.stack([grid, yaw, x, y])
+
+
+def _poses(times_s: np.ndarray, turning: bool) -> Poses:
+    """Poses of the drive at times."""
+    grid, yaw, x, y = _way(turning)
+    heading = np.degrees(np.interp(times_s, grid, yaw))
     places = np.stack([np.interp(times_s, grid, x), np.interp(times_s, grid, y), 0.0 * times_s], axis=1)
-    return Poses(quaternion_from_matrix(np.stack([about_z(float(one)) for one in np.degrees(at)])), places)
+    return Poses(quaternion_from_matrix(about_z(heading)), places)
 
 
 def rolling_rig(

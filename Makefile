@@ -30,7 +30,7 @@ test: $(STAMP)
 pytest: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
-# Five hundred damaged recordings of every reader, for which `make test` has fifteen, and what came of them.
+# Five hundred damaged recordings of every reader, for which `make test` has ten, and what came of them.
 fuzz: $(STAMP)
 	MIRROR_FUZZ=500 $(BIN)/python -m pytest -n 2 -rP tests/fuzz
 

@@ -1,6 +1,6 @@
 """Damaged recordings of every reader: refused by name, or ingested with right values; no traceback, hang or lost data.
 
-``make test`` runs fifteen trials a reader; ``make fuzz`` runs five hundred (`MIRROR_FUZZ`) and prints their outcomes.
+``make test`` runs ten trials a reader; ``make fuzz`` runs five hundred (`MIRROR_FUZZ`) and prints their outcomes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tests.fuzz.judge import Reference, faults_of_untouched, faults_of_values, r
 from tests.fuzz.mutations import mutate
 from tests.fuzz.worker import Request, Worker
 
-TRIALS = int(os.environ.get("MIRROR_FUZZ", "15"))
+TRIALS = int(os.environ.get("MIRROR_FUZZ", "10"))
 VERBOSE = "MIRROR_FUZZ_VERBOSE" in os.environ
 SEED = int(os.environ.get("MIRROR_FUZZ_SEED", "25"))
 ERRORS = {kind.__name__ for kind in MirrorError.__subclasses__()}

@@ -83,6 +83,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture(scope="module")
+def driven(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What one worker makes of the suite; tests do not change it."""
+    out = tmp_path_factory.mktemp("driven") / "runs"
+    assert simulate(folder, "Straight", out, "--workers", "1") == ExitCode.DONE
+    return out
+
+
 def simulate(folder: Path, policy: str, out: Path, *options: str) -> int:
     suite = str(folder / "short.toml")
     name = f"{folder / 'policies.py'}:{policy}"
@@ -109,13 +117,12 @@ def test_the_mini_suite_has_twenty_drives_in_ten_clusters() -> None:
 
 
 def test_other_workers_and_an_interruption_give_the_same_bytes(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert simulate(folder, "Straight", tmp_path / "one", "--workers", "1") == ExitCode.DONE
-    expected = files(tmp_path / "one")
+    expected = files(driven)
     assert sum(name.endswith("run.json") for name in expected) == 2
     # As if killed: one drive had not ended, and what it had written is torn.
-    shutil.copytree(tmp_path / "one", tmp_path / "two")
+    shutil.copytree(driven, tmp_path / "two")
     torn = tmp_path / "two" / "guangzhou-urban" / "cut-in-1"
     (torn / "run.json").unlink()
     (torn / ".driving").touch()
@@ -193,12 +200,11 @@ def test_options_that_a_suite_states_are_refused(
 
 
 def test_a_command_that_is_killed_and_repeated_has_the_bytes_of_an_uninterrupted_one(
-    folder: Path, tmp_path: Path
+    folder: Path, driven: Path, tmp_path: Path
 ) -> None:
     """One point of a suite; `python -m benchmarks suite_kills` has forty."""
     policy = f"{folder / 'policies.py'}:Straight"
     words = ["--suite", str(folder / "short.toml"), "--policy", policy, "--workers", "1"]
-    assert main(["simulate", *words, "--out", str(tmp_path / "whole")]) == ExitCode.DONE
-    expected = read_files(tmp_path / "whole")
+    expected = read_files(driven)
     assert drive_with_kills(words, tmp_path / "killed", spread_points(len(expected), 1)) == 1
     assert read_files(tmp_path / "killed") == expected

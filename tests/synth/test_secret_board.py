@@ -6,8 +6,9 @@ import io
 import json
 import shutil
 import zipfile
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -17,6 +18,7 @@ import pytest
 import mirror.synth
 from mirror.cli.main import main
 from mirror.protocols.truth.hidden import HIDDEN
+from mirror.synth import PRESETS
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.seeds import draw_secret_seed, pack_secret_seed
 from mirror.synth.writing.secret import SECRET, read_secret, write_secret
@@ -54,6 +56,14 @@ class Board:
                 drive.vehicle.vehicle_id: drive.vehicle.seed,
             }
         return named
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _fewer_images() -> Iterator[None]:
+    """The tiny street has half of its images here, and they are smaller."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(PRESETS, "tiny", replace(PRESETS["tiny"], width_px=96, image_hz=0.25))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -85,7 +85,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def driven(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What one worker makes of the suite; tests do not change it."""
+    """The drives of one worker; tests do not change them."""
     out = tmp_path_factory.mktemp("driven") / "runs"
     assert simulate(folder, "Straight", out, "--workers", "1") == ExitCode.DONE
     return out

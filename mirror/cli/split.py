@@ -25,8 +25,8 @@ class Arguments:
 
     Methods: novel-traversal holds out --held-out-traversals of each scene and trains on --train others (the paper: 1
     and 4). by-scene divides whole scenes into train, val and test by shares. by-condition tests on the traversals that
-    match --test-on and trains on the others that match --train-on. An existing split stays unchanged, also when the
-    dataset has grown.
+    match --test-on and trains on the others that match --train-on. by-list holds out the traversals that --held-out-id
+    names, as a published split has them. An existing split stays unchanged, also when the dataset has grown.
     """
 
     dataset: tyro.conf.Positional[Path]
@@ -34,7 +34,7 @@ class Arguments:
     name: tyro.conf.Positional[str]
     """Name of the split."""
     method: Annotated[
-        Literal["novel-traversal", "by-scene", "by-condition"] | None, help_text(default="novel-traversal")
+        Literal["novel-traversal", "by-scene", "by-condition", "by-list"] | None, help_text(default="novel-traversal")
     ] = None
     """Method of division."""
     train: Annotated[float | None, help_text(default="4; by-scene: 0.7")] = None
@@ -49,6 +49,12 @@ class Arguments:
     """Condition of training traversals (by-condition), such as light=day or light=day,weather=clear."""
     test_on: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="KEY=VALUE,...")] = ()
     """Condition of test traversals (by-condition), such as light=night."""
+    held_out_id: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="ID")] = ()
+    """Traversal to hold out (by-list)."""
+    train_id: Annotated[
+        tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="ID", default="all others of these scenes")
+    ] = ()
+    """Traversal to train on (by-list)."""
     seed: Annotated[int | None, help_text(default="0")] = None
     """Seed of the random choice."""
     scene: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="ID")] = ()
@@ -69,6 +75,7 @@ _OPTIONS_BY_METHOD = {
     "novel-traversal": ("train", "held_out_traversals"),
     "by-scene": ("train", "val", "test"),
     "by-condition": ("train_on", "test_on"),
+    "by-list": ("held_out_id", "train_id"),
 }
 _RENAMED = {"--held-out": "--held-out-traversals"}
 _EXAMPLES = (
@@ -113,6 +120,8 @@ def _refuse_beside_extend(arguments: Arguments) -> None:
         "test",
         "train_on",
         "test_on",
+        "held_out_id",
+        "train_id",
         "seed",
         "scene",
         "require",
@@ -129,7 +138,7 @@ def _refuse_beside_extend(arguments: Arguments) -> None:
 def _parameters(arguments: Arguments) -> SplitMethod:
     from pydantic import ValidationError
 
-    from mirror.schema.documents import ByCondition, ByScene, NovelTraversal
+    from mirror.schema.documents import ByCondition, ByList, ByScene, NovelTraversal
     from mirror.schema.problems import describe_expected, describe_problem
 
     method = arguments.method or "novel-traversal"
@@ -144,6 +153,10 @@ def _parameters(arguments: Arguments) -> SplitMethod:
     try:
         if method == "by-condition":
             return ByCondition(train=_conditions("train-on", arguments), test=_conditions("test-on", arguments))
+        if method == "by-list":
+            if not arguments.held_out_id:
+                raise UsageError("no traversal given", place="--held-out-id", expected="at least one id")
+            return ByList(held_out=arguments.held_out_id, train=arguments.train_id or None)
         if method == "by-scene":
             return ByScene(**given)
         # The document's own name of the number.

@@ -29,6 +29,7 @@ _DOCUMENTS: Sequence[type[BaseModel]] = (
     documents.NovelTraversal,
     documents.ByScene,
     documents.ByCondition,
+    documents.ByList,
     documents.LightAndWeather,
     documents.Manifest,
     documents.FileEntry,

@@ -412,7 +412,21 @@ class ByCondition(Document):
     test: tuple[LightAndWeather, ...] = Field(min_length=1)
 
 
-SplitMethod = Annotated[NovelTraversal | ByScene | ByCondition, Field(discriminator="method")]
+class ByList(Document):
+    """Assigns the traversals that are listed, as a published split names them.
+
+    Attributes:
+        method: name of the method.
+        held_out: ids of the traversals to hold out.
+        train: ids of the traversals to train on; None: all others of their scenes.
+    """
+
+    method: Literal["by-list"] = "by-list"
+    held_out: tuple[str, ...] = Field(min_length=1)
+    train: tuple[str, ...] | None = None
+
+
+SplitMethod = Annotated[NovelTraversal | ByScene | ByCondition | ByList, Field(discriminator="method")]
 
 
 class SplitDocument(Document):

@@ -117,6 +117,8 @@ split {d} new --train nan => --train: nan; expected a finite number
 split {d} new --scene nope
 split {d} new --train 0
 split {d} new --method by-condition --train-on light
+split {d} new --method by-list => --held-out-id: no traversal given
+split {d} new --method by-list --held-out-id nope => no traversal is called 'nope'
 split {d} new --method by-condition --train-on light=nope --test-on light=day
 stats missing => missing:
 stats {d} --plots text.txt => text.txt is a file

@@ -12,7 +12,7 @@ from typing import Final, Literal
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.split_document import read_split
-from mirror.dataset.splits import by_condition, by_scene, novel_traversal
+from mirror.dataset.splits import by_condition, by_list, by_scene, novel_traversal
 from mirror.dataset.splits.assignment import Assignment
 from mirror.dataset.splits.candidates import Candidates, read_candidates
 from mirror.dataset.splits.leaks import Tie, find_leaks, find_ties
@@ -20,6 +20,7 @@ from mirror.dataset.store import Store
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import (
     ByCondition,
+    ByList,
     ByScene,
     NovelTraversal,
     Role,
@@ -216,6 +217,8 @@ def _assign(candidates: Candidates, found: Sequence[Tie], parameters: SplitMetho
         return novel_traversal.assign(traversals, found, parameters, seed)
     if isinstance(parameters, ByScene):
         return by_scene.assign(traversals, found, parameters, seed)
+    if isinstance(parameters, ByList):
+        return by_list.assign(traversals, found, parameters)
     return by_condition.assign(traversals, found, parameters)
 
 

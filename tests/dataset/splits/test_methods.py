@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mirror.dataset.splits import by_condition, by_scene, novel_traversal
+from mirror.dataset.splits import by_condition, by_list, by_scene, novel_traversal
 from mirror.dataset.splits.candidates import Candidate
 from mirror.dataset.splits.leaks import Tie, find_leaks
 from mirror.dataset.splits.units import connected_components, members_by_component, seeded_rank
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.documents import ByCondition, ByScene, LightAndWeather, NovelTraversal
+from mirror.schema.documents import ByCondition, ByList, ByScene, LightAndWeather, NovelTraversal
 
 
 def made(*pairs: tuple[str, str], light: str = "day", weather: str = "clear") -> list[Candidate]:
@@ -238,3 +238,29 @@ def test_poses_alone_are_neither_trained_on_nor_held_out_beside_images() -> None
         assert sorted(roles[item.traversal_id] for item in imaged) == ["held_out", "train", "train"]
     alone = novel_traversal.assign(blind, [], parameters, 0).roles
     assert sorted(alone.values()) == ["held_out", "train", "train"]
+
+
+def test_listed_traversals_are_held_out_and_all_others_of_their_scenes_trained_on() -> None:
+    traversals = made(("a", "d1"), ("a", "d2"), ("a", "d3"), ("b", "d4"))
+    roles = by_list.assign(traversals, [], ByList(held_out=("a.d2.1",))).roles
+    assert roles == {"a.d1.0": "train", "a.d2.1": "held_out", "a.d3.2": "train", "b.d4.3": "unused"}
+    some = by_list.assign(traversals, [], ByList(held_out=("a.d2.1",), train=("a.d3.2", "b.d4.3"))).roles
+    assert some == {"a.d1.0": "unused", "a.d2.1": "held_out", "a.d3.2": "train", "b.d4.3": "train"}
+
+
+@pytest.mark.parametrize(
+    ("held_out", "train", "problem"),
+    [
+        (("a.d9.9",), None, "no traversal is called 'a.d9.9'"),
+        (("a.d3.2",), ("a.d9.9",), "no traversal is called 'a.d9.9'"),
+        (("a.d3.2",), ("a.d3.2",), "a.d3.2 is in both lists"),
+        (("b.d4.3",), None, "b.d4.3 is held out of scene b, which has no traversal to train on"),
+        (("a.d1.0",), None, "a.d1.1 would be trained on and a.d1.0 held out, but they are of one drive, d1"),
+    ],
+)
+def test_lists_that_name_nothing_or_leak_are_refused(
+    held_out: tuple[str, ...], train: tuple[str, ...] | None, problem: str
+) -> None:
+    traversals = made(("a", "d1"), ("a", "d1"), ("a", "d3"), ("b", "d4"))
+    with pytest.raises(DatasetError, match=problem):
+        by_list.assign(traversals, drive_ties(traversals), ByList(held_out=held_out, train=train))

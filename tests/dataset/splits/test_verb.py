@@ -57,6 +57,10 @@ def test_every_method(builder: Builder, capsys: pytest.CaptureFixture[str]) -> N
         "--test-on", "light=night,weather=clear",
     )  # fmt: skip
     assert (code, "test 1, train 5" in said) == (0, True)
+    roles = json.loads((builder.root / "splits" / "n.json").read_text())["assignments"]
+    first = next(key for key in roles if key.startswith("a."))
+    code, said = run(builder, capsys, "l", "--method", "by-list", "--held-out-id", first)
+    assert (code, "held_out 1, train 4, unused 1" in said) == (0, True)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -289,3 +290,17 @@ class Image:
             expected=expected,
             remedy="restore the file, or `mirror ingest RECORDING... --replace` from the recording",
         )
+
+
+def compose_camera_poses(images: Sequence[Image]) -> Poses:
+    """Return the poses (M,) of M images of one traversal, each as its `Image.world_SE3_camera`.
+
+    Raises:
+        DatasetError: the chosen poses do not cover a time, or no calibration is valid.
+    """
+    mountings = [image.calibration.ego_SE3_camera for image in images]
+    if not images:
+        return Poses(np.zeros((0, 4)), np.zeros((0, 3)))
+    egos = images[0]._traversal.world_SE3_ego([image.timestamp_ns for image in images])
+    rotation = np.concatenate([pose.rotation for pose in mountings])
+    return egos @ Poses.unchecked(rotation, np.concatenate([pose.translation for pose in mountings]))

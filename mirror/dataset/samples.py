@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from torch.utils.data import get_worker_info
 
-from mirror.arrays import AnyArray, UInt8
+from mirror.arrays import AnyArray, Float64, UInt8
 from mirror.dataset.contents import SampleContents
 from mirror.dataset.frames import Frame
-from mirror.dataset.image import Image, Mask
+from mirror.dataset.image import Image, Mask, compose_camera_poses
 from mirror.dataset.images.decoding import run_jobs, split_planes
 from mirror.dataset.raster import ImageRaster, image_raster
 from mirror.errors import DatasetError, UsageError
@@ -44,12 +44,13 @@ def make_sample(frame: Frame, contents: SampleContents, shape: tuple[int, int]) 
     """
     arrays = _empty_arrays(contents, shape)
     jobs, costs = [], []
-    for row, camera in enumerate(contents.cameras):
-        image = frame.images.get(camera)
-        if image is None or image.is_withheld:
-            continue
+    images = [(row, frame.images.get(camera)) for row, camera in enumerate(contents.cameras)]
+    present = [(row, image) for row, image in images if image is not None and not image.is_withheld]
+    # Together: a call for one pose costs as much as for seven.
+    poses = compose_camera_poses([image for _, image in present]).matrix()
+    for (row, image), pose in zip(present, poses):
         raster = _raster_of(image, contents)
-        _write_geometry(arrays, row, image, raster.final)
+        _write_geometry(arrays, row, image, raster.final, pose)
         jobs.append(partial(_write_pixels, image, raster, contents, _map_arrays(arrays, itemgetter((row, ...)))))
         costs.append(image.byte_length)
     in_worker = get_worker_info() is not None
@@ -152,7 +153,7 @@ def _raster_of(image: Image, contents: SampleContents) -> ImageRaster:
     return image_raster(camera, contents.undistort, contents.resize)
 
 
-def _write_geometry(arrays: Mapping[str, Any], row: int, image: Image, camera: Camera) -> None:
+def _write_geometry(arrays: Mapping[str, Any], row: int, image: Image, camera: Camera, pose: Float64) -> None:
     """Write the values of an image that are known before it is decoded."""
     values = {
         "valid": True,
@@ -164,7 +165,7 @@ def _write_geometry(arrays: Mapping[str, Any], row: int, image: Image, camera: C
         "lens": LENS_MODELS.index(camera.model),
         "intrinsics": camera.intrinsic_matrix(),
         "distortion_count": len(camera.distortion),
-        "world_SE3_camera": image.world_SE3_camera.matrix()[0],
+        "world_SE3_camera": pose,
     }
     for name, value in values.items():
         arrays[name][row] = value

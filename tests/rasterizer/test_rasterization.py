@@ -54,6 +54,24 @@ def test_one_gaussian_is_what_the_closed_form_says(backend):
     torch.testing.assert_close(image[0].double(), expected[..., None] * factors, rtol=0, atol=9 * TOLERANCE[backend])
 
 
+@pytest.mark.parametrize(("width", "height"), [(720, 408), (722, 404)])
+def test_a_large_image_with_empty_tiles_is_what_the_closed_form_says(width, height):
+    """Large images of whole cache lines are written past the caches. An earlier image left its blocks in memory."""
+    rasterization(**_double(one((0.0, 0.0, 0.6), 2.0, 0.9, (1.0,)) | cameras(1, width, height)), render_mode="RGB+D")
+    for scale in (0.02, 0.25):
+        arguments = _double(one((0.0, 0.0, 3.0), scale, 0.5, (0.25, 1.0, 0.5)) | cameras(1, width, height))
+        arguments["colors"].requires_grad_()
+        image, alpha, _ = rasterization(**arguments, render_mode="RGB+D")
+        expected = _alpha(3.0, scale, 0.5, width, height)
+        factors = torch.tensor([0.25, 1.0, 0.5, 3.0], dtype=torch.float64)
+        torch.testing.assert_close(alpha[0, ..., 0].double(), expected, rtol=0, atol=6e-6)
+        torch.testing.assert_close(image[0].double(), expected[..., None] * factors, rtol=0, atol=2e-5)
+        weights = torch.rand(image.shape, generator=torch.Generator().manual_seed(1))
+        (gradient,) = torch.autograd.grad((image * weights).sum(), arguments["colors"])
+        by_hand = (expected[..., None] * weights[0, ..., :3]).sum((0, 1))
+        torch.testing.assert_close(gradient.reshape(3), by_hand, rtol=2e-5, atol=0)
+
+
 @both_backends
 def test_the_nearer_of_two_is_in_front_whichever_comes_first(backend):
     near, far = one((0.0, 0.0, 2.0), 0.2, 0.5, (1.0,)), one((0.0, 0.0, 4.0), 0.5, 0.75, (0.5,))

@@ -27,7 +27,7 @@ def empty_aligned(count: int, dtype: Any = np.float32) -> AnyArray:
     """Make an uninitialised array (count,), aligned to a cache line."""
     size = np.dtype(dtype).itemsize * count
     block = np.empty(size + _LINE_BYTES, np.uint8) if size < _LARGE_BYTES else _take_block(size + _LINE_BYTES)
-    skip = -block.ctypes.data % _LINE_BYTES
+    skip = -block.__array_interface__["data"][0] % _LINE_BYTES
     return block[skip : skip + size].view(dtype)
 
 

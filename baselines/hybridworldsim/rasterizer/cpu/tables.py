@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -13,6 +13,9 @@ from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import Float32, Float64, Int64
+
+_FEW: Final = 4096
+"""Fewer numbers than these are added at once: threads would take longer to start."""
 
 
 class _TakeRows(torch.autograd.Function):
@@ -70,6 +73,8 @@ def scatter_rows(part: Float32, ids: Int64, shape: torch.Size) -> Float32:
 def sum_table(table: Tensor) -> float:
     """Sum a float32 table in float64; the last digits depend on the number of threads."""
     numbers = table.detach().contiguous().numpy().reshape(-1)
+    if len(numbers) < _FEW:
+        return float(numbers.sum(dtype=np.float64))
     edges = spans(len(numbers))
     sums = np.zeros(len(edges) - 1)
     in_parallel(lambda part: _add(edges[part], edges[part + 1], numbers, sums[part : part + 1]), len(sums))

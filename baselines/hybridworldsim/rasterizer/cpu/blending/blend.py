@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from hybridworldsim.kernels.memory import empty_aligned, full_aligned
-from hybridworldsim.kernels.threads import in_parallel
+from hybridworldsim.kernels.threads import in_parallel, spans
 from hybridworldsim.rasterizer.blended_image import BlendedImage
 from hybridworldsim.rasterizer.cpu.blending.backward import SUMS, blend_tiles_backward, reduce_lines
 from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, TILE_PX, Canvas, make_canvas
@@ -24,7 +24,6 @@ from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from mirror.arrays import Float32, Float64, Int32, Int64
 from mirror.errors import UsageError
 
-_PARTS: Final = 32
 LEAST_SLICE: Final = 32768
 """Least number of Gaussians in the nearest slice."""
 
@@ -118,11 +117,15 @@ class _Blend(torch.autograd.Function):
             canvas.tiles_y,
         )
         order, slices, work = depth_order(projected.depths.detach().numpy()), [], np.zeros(2, np.int64)
+        image, alpha, write_row = canvas.make_image(features.shape[1])
+        is_written = False
         for part in _slices(order):
             if not canvas.alive.any():
                 break
-            slices.append(_blend_slice(canvas, splats, part, alpha_max, work))
-        image, alpha = canvas.to_image(features.shape[1])
+            is_written = part[-1:].tobytes() == order[-1:].tobytes()
+            slices.append(_blend_slice(canvas, splats, part, alpha_max, work, write_row if is_written else None))
+        if not is_written:
+            in_parallel(write_row, canvas.tiles_y)
         context.saved = (means2d, values, splats, slices, canvas, image.shape, alpha_max, absgrad)
         context.set_materialize_grads(False)
         counts = {
@@ -138,7 +141,7 @@ class _Blend(torch.autograd.Function):
     def backward(context: Any, grad_image: Tensor | None, grad_alpha: Tensor | None, _: None) -> tuple[Any, ...]:
         means2d, opacities, splats, slices, canvas, shape, alpha_max, absgrad = context.saved
         gradients = _Gradients.zeros(len(opacities), shape[2])
-        grad_colours, transmittance, background_sum = canvas.gradients_to_blocks(
+        grad_colours, transmittance, background_sum, convert_row = canvas.make_gradients(
             _to_array(grad_image, shape), _to_array(grad_alpha, shape[:2])
         )
         first_lines = _first_lines(slices, len(opacities))
@@ -147,6 +150,7 @@ class _Blend(torch.autograd.Function):
         for part in reversed(slices):
             _backward_slice(
                 canvas,
+                convert_row if part is slices[-1] else None,
                 splats,
                 part,
                 alpha_max,
@@ -212,22 +216,42 @@ def _tile_rows(canvas: Canvas) -> Int64:
     return np.arange(len(canvas.alive)).reshape(canvas.tiles_y, canvas.tiles_x)
 
 
-def _blend_slice(canvas: Canvas, splats: Splats, order: Int32, alpha_max: float, work: Int64) -> _Slice:
-    """Blend Gaussians into all tiles that are not done; add processed pairs and processed blocks to `work`."""
+def _blend_slice(
+    canvas: Canvas,
+    splats: Splats,
+    order: Int32,
+    alpha_max: float,
+    work: Int64,
+    write_row: Callable[[int], None] | None,
+) -> _Slice:
+    """Blend Gaussians into all tiles that are not done; add processed pairs and processed blocks to `work`.
+
+    Each row of tiles is written to the image then, if this slice is the last one.
+    """
     tiles = assign_tiles(splats, order, canvas.tiles_x, canvas.alive)
-    part = _Slice(order, tiles, canvas.counts_before.copy(), np.empty(len(canvas.alive), np.int64))
+    part = _Slice(order, tiles, canvas.counts_before.copy(), tiles.tile_starts[:-1].copy())
     numbers, counts = _tile_rows(canvas), np.zeros((canvas.tiles_y, 2), np.int64)
+    found = np.diff(tiles.tile_starts).astype(np.int32)
+    canvas.counts_before[:] += found
+    has_pairs: list[bool] = np.any(found.reshape(numbers.shape), axis=1).tolist()
+    placements = empty_aligned(canvas.tiles_y * BATCH * PLACEMENT_SIZE).reshape(canvas.tiles_y, -1)
+    block_bits, gaussian_bits = (
+        np.empty((canvas.tiles_y, BATCH), np.int32),
+        np.empty((canvas.tiles_y, BLOCKS), np.uint64),
+    )
 
     def blend_row(row: int) -> None:
-        blend_tiles(
-            numbers[row], tiles.tile_starts, tiles.ids, part.counts_before, splats.rows, splats.stride,
-            splats.channels, canvas.tiles_x, alpha_max, canvas.transmittance, canvas.colours, canvas.last, canvas.alive,
-            empty_aligned(BATCH * PLACEMENT_SIZE), empty_aligned(BATCH, np.int32), empty_aligned(BLOCKS, np.uint64),
-            part.processed_end, counts[row],
-        )  # fmt: skip
+        if has_pairs[row]:
+            blend_tiles(
+                numbers[row], tiles.tile_starts, tiles.ids, part.counts_before, splats.rows, splats.stride,
+                splats.channels, canvas.tiles_x, canvas.width, canvas.height, alpha_max, canvas.transmittance,
+                canvas.colours, canvas.last, canvas.alive, placements[row], block_bits[row], gaussian_bits[row],
+                part.processed_end, counts[row],
+            )  # fmt: skip
+        if write_row is not None:
+            write_row(row)
 
     in_parallel(blend_row, canvas.tiles_y)
-    canvas.counts_before[:] += np.diff(tiles.tile_starts).astype(np.int32)
     work += counts.sum(axis=0)
     return part
 
@@ -242,6 +266,7 @@ def _first_lines(slices: list[_Slice], count: int) -> Int64:
 
 def _backward_slice(
     canvas: Canvas,
+    convert_row: Callable[[int], None] | None,
     splats: Splats,
     part: _Slice,
     alpha_max: float,
@@ -253,15 +278,24 @@ def _backward_slice(
     line_size: int,
     absgrad: bool,
 ) -> None:
-    """Write the line of each pair of tile and Gaussian of a slice."""
+    """Write the line of each pair of tile and Gaussian of a slice; the gradients of a row are converted before."""
     tiles, numbers = part.tiles, _tile_rows(canvas)
+    has_pairs: list[bool] = np.any(np.diff(tiles.tile_starts).reshape(numbers.shape), axis=1).tolist()
+    extra = (line_size - SUMS) * LANES
+    placements = empty_aligned(canvas.tiles_y * BATCH * PLACEMENT_SIZE).reshape(canvas.tiles_y, -1)
+    block_bits = np.empty((canvas.tiles_y, BATCH), np.int32)
+    extra_sums = full_aligned(canvas.tiles_y * extra, 0.0).reshape(canvas.tiles_y, extra)
 
     def write(row: int) -> None:
+        if convert_row is not None:
+            convert_row(row)
+        if not has_pairs[row]:
+            return
         blend_tiles_backward(
             numbers[row], tiles.tile_starts, tiles.ids, tiles.pair_ranks, first_lines, part.counts_before,
             part.processed_end, splats.rows, splats.stride, splats.channels, canvas.tiles_x, alpha_max, transmittance,
-            background_sum, grad_colours, canvas.last, empty_aligned(BATCH * PLACEMENT_SIZE),
-            empty_aligned(BATCH, np.int32), full_aligned((line_size - SUMS) * LANES, 0.0), lines, line_size, absgrad,
+            background_sum, grad_colours, canvas.last, placements[row], block_bits[row], extra_sums[row], lines,
+            line_size, absgrad,
         )  # fmt: skip
 
     in_parallel(write, canvas.tiles_y)
@@ -271,12 +305,12 @@ def _reduce_gradients(
     splats: Splats, opacities: Float32, first_lines: Int64, lines: Float32, line_size: int, gradients: _Gradients
 ) -> None:
     """Add the lines of each Gaussian in parallel."""
-    edges = np.linspace(0, len(opacities), _PARTS + 1).astype(np.int64)
+    edges = spans(len(opacities))
     in_parallel(
         lambda number: reduce_lines(
             edges[number], edges[number + 1], first_lines, lines, line_size, splats.rows, splats.stride, opacities,
             gradients.means, gradients.conics, gradients.opacities, gradients.features, gradients.absolute,
             empty_aligned(line_size),
         ),
-        _PARTS,
+        len(edges) - 1,
     )  # fmt: skip

@@ -30,7 +30,7 @@ from hybridworldsim.kernels.vectors import (
     to_bits,
     trailing_zeros,
 )
-from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX
+from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX, empty_tile
 from hybridworldsim.rasterizer.cpu.blending.splats import (
     FACTORS,
     FEATURES,
@@ -109,6 +109,8 @@ def blend_tiles(
     stride: int,
     channels: int,
     tiles_x: int,
+    width: int,
+    height: int,
     alpha_max: float,
     transmittance: Float32,
     colours: Float32,
@@ -131,6 +133,8 @@ def blend_tiles(
         stride: length of a row.
         channels: number of feature channels.
         tiles_x: columns of tiles.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
         alpha_max: upper bound of alpha.
         transmittance: (T * 256,) transmittance of the pixels, block by block; updated; negative if a pixel is done.
         colours: (T * channels * 256,) blended colours; updated.
@@ -139,13 +143,17 @@ def blend_tiles(
         scratch: (BATCH * PLACEMENT_SIZE,) scratch.
         block_bits: (BATCH,) scratch.
         gaussian_bits: (BLOCKS,) scratch.
-        processed_end: (T,) output, one past the last processed pair.
+        processed_end: (T,) one past the last processed pair; written for tiles with pairs.
         work: (2,) numbers of processed pairs, and of processed pairs of block and Gaussian; increased.
     """
     block_x, block_y = load(BLOCK_X, 0), load(BLOCK_Y, 0)
     cap = np.float32(alpha_max)
     for number in range(len(tiles)):
         tile = tiles[number]
+        if tile_starts[tile] == tile_starts[tile + 1]:
+            continue
+        if counts_before[tile] == 0:
+            empty_tile(tile, transmittance, colours, last, channels, tiles_x, width, height)
         centre_x = np.float32((tile % tiles_x) * TILE_PX + TILE_PX // 2)
         centre_y = np.float32((tile // tiles_x) * TILE_PX + TILE_PX // 2)
         begin, end = tile_starts[tile], tile_starts[tile + 1]

@@ -27,9 +27,13 @@ if TYPE_CHECKING:
     from mirror.synth.render.develop.camera_response import CameraResponse as CameraResponse
     from mirror.synth.render.develop.developing import develop as develop
     from mirror.synth.render.lens import Lens as Lens
+    from mirror.synth.render.lens import cut_line as cut_line
     from mirror.synth.render.lens import make_lens as make_lens
     from mirror.synth.render.scene import Instant as Instant
+    from mirror.synth.render.scene import RenderedImage as RenderedImage
+    from mirror.synth.render.scene import RollingImage as RollingImage
     from mirror.synth.render.scene import Scene as Scene
+    from mirror.synth.render.surroundings import Surroundings as Surroundings
     from mirror.synth.render.view import RasterizedView as RasterizedView
     from mirror.synth.render.view import rasterize_view as rasterize_view
     from mirror.synth.rigs.readouts import parse_readouts as parse_readouts
@@ -61,12 +65,16 @@ __all__ = [
     "Lens",
     "Model",
     "RasterizedView",
+    "RenderedImage",
     "RoadUser",
+    "RollingImage",
     "Scene",
+    "Surroundings",
     "SynthDrive",
     "SynthReport",
     "Truth",
     "cast_rays",
+    "cut_line",
     "develop",
     "get_body",
     "instant_of",
@@ -99,14 +107,18 @@ __getattr__, __dir__ = lazy_names(
         "POPULATION": "mirror.synth.driving.bodies",
         "PRESETS": "mirror.synth.fleet",
         "RasterizedView": "mirror.synth.render.view",
+        "RenderedImage": "mirror.synth.render.scene",
         "RoadUser": "mirror.synth.road_users.body",
+        "RollingImage": "mirror.synth.render.scene",
         "SECRET": "mirror.synth.writing.secret",
         "SKY": "mirror.synth.render.coverage",
         "Scene": "mirror.synth.render.scene",
+        "Surroundings": "mirror.synth.render.surroundings",
         "SynthDrive": "mirror.synth.fleet.drive",
         "SynthReport": "mirror.synth.writing",
         "Truth": "mirror.synth.truth",
         "cast_rays": "mirror.synth.truth.casting",
+        "cut_line": "mirror.synth.render.lens",
         "develop": "mirror.synth.render.develop.developing",
         "get_body": "mirror.synth.driving.bodies",
         "instant_of": "mirror.synth.light.sun",

@@ -321,7 +321,7 @@ class Scene:
         rotations = matrix_from_quaternion(world_SE3_camera.rotation)
 
         def line_at(number: int) -> LineInstant:
-            surroundings = self._move(instant, float(times_s[number]), world_SE3_ego[number : number + 1])
+            surroundings = self.surroundings_at(instant, float(times_s[number]), world_SE3_ego[number : number + 1])
             return LineInstant(surroundings, rotations[number], world_SE3_camera.translation[number])
 
         wet = bool(self.light.record["wet"] > 0.0)
@@ -349,8 +349,14 @@ class Scene:
         light = np.ascontiguousarray(radiance[..., :3])
         return develop(light, self.light.record, response, effects, seed, motion=motion, drops=drops)
 
-    def _move(self, instant: Instant, time_s: float, world_SE3_ego: Poses) -> Surroundings:
-        """Return an instant's surroundings with road users and the recording vehicle where they are at a time."""
+    def surroundings_at(self, instant: Instant, time_s: float, world_SE3_ego: Poses) -> Surroundings:
+        """Return an instant's surroundings with road users and the recording vehicle where they are at a time.
+
+        Args:
+            instant: the world at mid-exposure.
+            time_s: time since the start, such as that of a line of an image.
+            world_SE3_ego: pose of the recording vehicle at that time.
+        """
         ego, turn = world_SE3_ego.translation[0], matrix_from_quaternion(world_SE3_ego.rotation)[0]
         moving = self._place(
             {

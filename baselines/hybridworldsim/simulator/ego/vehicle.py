@@ -159,6 +159,17 @@ def advance(vehicle: VehicleParameters, state: EgoState, controls: Controls, dur
     return state
 
 
+def coast(vehicle: VehicleParameters, state: EgoState, offset_s: float) -> EgoState:
+    """Return the state a little later, or earlier, at the present acceleration and steering angle.
+
+    A vehicle that comes to a standstill, or that has just left one, stands still beyond it.
+    """
+    span, speed, acceleration = offset_s, state.speed_mps, state.acceleration_mps2
+    if speed + acceleration * span < 0.0:
+        span = -speed / acceleration
+    return _move(vehicle, state, 0.0, 0.0, span)
+
+
 def _ramp(value: float, target: float, greatest: float) -> tuple[float, float]:
     """Rate at which a value changes towards a target, and the time at which it arrives; (0, inf) if it is there."""
     if value == target:

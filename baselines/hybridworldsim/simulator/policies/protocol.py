@@ -14,6 +14,7 @@ from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
+from mirror.protocols.views.view import RollingDirection
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -29,6 +30,21 @@ class LateError(UsageError):
     """A policy did not answer within its deadline."""
 
 
+@dataclass(frozen=True)
+class Readout:
+    """The rolling shutter of a camera's raster.
+
+    Attributes:
+        direction: direction in which rows or columns are exposed.
+        first_ns: time of the line that is exposed first, from the instant of the observation.
+        last_ns: time of the line that is exposed last.
+    """
+
+    direction: RollingDirection
+    first_ns: float
+    last_ns: float
+
+
 @dataclass(frozen=True, eq=False)
 class CameraSpec:
     """A camera whose images a policy gets.
@@ -36,10 +52,13 @@ class CameraSpec:
     Attributes:
         camera: lens and raster.
         ego_SE3_camera: mounting on the vehicle.
+        readout: its rolling shutter; None: all of an image is seen at the instant of the observation, or an AlpaSim
+            runtime renders it, whose messages state no readout.
     """
 
     camera: Camera
     ego_SE3_camera: Poses
+    readout: Readout | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +107,8 @@ class Observation:
 
     Attributes:
         stamp_ns: Unix time.
-        images: (H, W, 3) RGB by camera, all at that instant; empty for a `TensorPolicy`.
+        images: (H, W, 3) RGB by camera, at that instant; a rolling shutter exposes its lines about it.
+            Empty for a `TensorPolicy`.
         ego: the ego in its own frame: x, y and yaw are 0.
         route: (`ROUTE_POINTS`, 2) points of the route every `ROUTE_STEP_M`, from the place beside the ego on, in the
             ego frame.

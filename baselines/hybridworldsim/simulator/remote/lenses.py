@@ -5,7 +5,7 @@ Principal points are those of images whose first pixel has its centre at (0.5, 0
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -14,16 +14,24 @@ from hybridworldsim.simulator.remote.messages import wire
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
+from mirror.geometry.rolling_shutter import ShutterDirection
 
 Lens = Literal["own", "f_theta"]
 FIT_PX: Final = 0.1
 """Greatest error of a fitted f-theta polynomial."""
 _DEGREES: Final = (5, 7, 9, 11, 13, 15, 17, 19)
 _SAMPLES: Final = 512
+_SHUTTERS: Final[Mapping[ShutterDirection, str]] = {
+    "global": "GLOBAL",
+    "top_to_bottom": "ROLLING_TOP_TO_BOTTOM",
+    "bottom_to_top": "ROLLING_BOTTOM_TO_TOP",
+    "left_to_right": "ROLLING_LEFT_TO_RIGHT",
+    "right_to_left": "ROLLING_RIGHT_TO_LEFT",
+}
 _RADIAL: Final = 6
 
 
-def to_spec(camera: Camera, name: str, lens: Lens = "own") -> Any:
+def to_spec(camera: Camera, name: str, lens: Lens = "own", *, direction: ShutterDirection = "global") -> Any:
     """Return a camera as a ``CameraSpec``.
 
     Args:
@@ -31,6 +39,7 @@ def to_spec(camera: Camera, name: str, lens: Lens = "own") -> Any:
         name: the camera's name on the wire.
         lens: "own" for the message of the camera's model; "f_theta" for an f-theta polynomial in any case, which is
             fitted to at most `FIT_PX`: AlpaSim's rectification reads no other.
+        direction: direction of the camera's shutter.
 
     Raises:
         UsageError: no f-theta polynomial fits.
@@ -38,7 +47,7 @@ def to_spec(camera: Camera, name: str, lens: Lens = "own") -> Any:
     messages = wire()
     spec = messages.CameraSpec(
         logical_id=name, resolution_h=camera.height_px, resolution_w=camera.width_px,
-        shutter_type=messages.shutters["GLOBAL"],
+        shutter_type=messages.shutters[_SHUTTERS[direction]],
     )  # fmt: skip
     if lens == "f_theta" or camera.model == "f_theta":
         _fill_f_theta(spec.ftheta_param, camera)
@@ -92,6 +101,12 @@ def from_spec(spec: Any) -> Camera:
     return Camera(
         "rational" if any(numbers) else "pinhole", width, height, *focal, *centre, numbers if any(numbers) else ()
     )
+
+
+def direction_of(spec: Any) -> ShutterDirection:
+    """Return the direction of the shutter of a ``CameraSpec``; a message without one has a global shutter."""
+    numbers = wire().shutters
+    return next((one for one, name in _SHUTTERS.items() if numbers[name] == spec.shutter_type), "global")
 
 
 def _fill_matrix(lens: Any, camera: Camera) -> None:

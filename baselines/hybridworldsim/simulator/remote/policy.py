@@ -130,9 +130,11 @@ class RemotePolicy:
         send("submit_egomotion_observation", self._egomotion(observation, now_us))
         send("submit_route", self._route(observation.route, now_us))
         for name, wired in driver.cameras.items():
+            readout = spec.cameras[name].readout
+            first_ns, last_ns = (0.0, 0.0) if readout is None else (readout.first_ns, readout.last_ns)
             image = messages.RolloutCameraImage.CameraImage(
-                frame_start_us=now_us,
-                frame_end_us=now_us,
+                frame_start_us=now_us + round(1e-3 * first_ns),
+                frame_end_us=now_us + round(1e-3 * last_ns),
                 image_bytes=encode(observation.images[name], driver.image_format, driver.quality),
                 logical_id=wired,
             )
@@ -168,7 +170,12 @@ class RemotePolicy:
     def _available(self, name: str, wired: str) -> Any:
         camera = self._spec.cameras[name]
         return self._messages.AvailableCamerasReturn.AvailableCamera(
-            intrinsics=to_spec(camera.camera, wired, self._driver.lens),
+            intrinsics=to_spec(
+                camera.camera,
+                wired,
+                self._driver.lens,
+                direction="global" if camera.readout is None else camera.readout.direction,
+            ),
             rig_to_camera=to_pose(camera.ego_SE3_camera),
             logical_id=wired,
         )

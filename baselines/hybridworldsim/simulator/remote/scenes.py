@@ -17,11 +17,14 @@ from hybridworldsim.simulator.ego.vehicle import EgoState
 from hybridworldsim.simulator.remote.walking import RecordedLine
 from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
 from hybridworldsim.simulator.renderers.registry import RendererFactory
+from hybridworldsim.simulator.renderers.rolling import fit_readout, make_shutter, poses_at
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Float32, Float64, UInt8
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera, undistorted
+from mirror.geometry.rolling_shutter import RollingShutter
+from mirror.protocols.views.view import ViewShutter
 from mirror.schema.scenario import Scenario
 
 _FARTHEST_M: Final = 1e4
@@ -85,7 +88,7 @@ class ServedScene:
         ego = EgoState(x, y, 0.0, 0.0)
         time_s = 1e-9 * (stamp_ns - self.start_ns)
         snapshot = Snapshot(0, time_s, stamp_ns, self.street.vehicle, ego, self.agents, states, {})
-        planes = [replace(view, camera=_plane(view.camera)) for view in views]
+        planes = [replace(view, camera=_plane(view.camera), shutter=_plane_shutter(view)) for view in views]
         images = self.renderer.render_views(snapshot, planes)
         return {view.name: _through_lens(images[view.name], view.camera) for view in views}
 
@@ -126,6 +129,23 @@ def _plane(camera: Camera) -> Camera:
     middle = camera.unproject([(camera.cx_px - 0.5, camera.cy_px), (camera.cx_px + 0.5, camera.cy_px)]).direction
     fine = 1.0 / float(np.linalg.norm(middle[1] - middle[0])) / plane.fx_px
     return plane.scaled(min(max(fine, 1.0), _FINEST))
+
+
+def _plane_shutter(view: CameraView) -> ViewShutter | None:
+    """The shutter of the pinhole that is rendered for a lens: its lines are nearly those of the lens."""
+    camera, shutter = view.camera, view.shutter
+    if shutter is None or camera.model == "pinhole":
+        return shutter
+    lines = RollingShutter(
+        shutter.direction, round(shutter.last_ns - shutter.first_ns), camera.width_px, camera.height_px
+    )
+    readout = fit_readout(camera, lines, _plane(camera))
+    if readout is None:
+        return shutter
+    middle_ns = 0.5 * (shutter.first_ns + shutter.last_ns)
+    shifted = replace(readout, first_ns=readout.first_ns + middle_ns, last_ns=readout.last_ns + middle_ns)
+    ends = poses_at(shutter, 1e-9 * np.array([shifted.first_ns, shifted.last_ns]))
+    return make_shutter(shifted, ends)
 
 
 @lru_cache(maxsize=64)

@@ -10,15 +10,20 @@ from typing import Any, Final
 
 import numpy as np
 
+from hybridworldsim.simulator.policies.protocol import Readout
 from hybridworldsim.simulator.remote.images import Format, encode
-from hybridworldsim.simulator.remote.lenses import from_spec, to_spec
+from hybridworldsim.simulator.remote.lenses import direction_of, from_spec, to_spec
 from hybridworldsim.simulator.remote.messages import wire
 from hybridworldsim.simulator.remote.poses import flat, from_pose, to_pose
 from hybridworldsim.simulator.remote.scenes import ServedScene
 from hybridworldsim.simulator.renderers.protocol import CameraView
+from hybridworldsim.simulator.renderers.rolling import make_shutter
 from mirror.arrays import Float64
 from mirror.errors import MirrorError, UsageError
 from mirror.geometry import Poses, interpolate
+from mirror.geometry.cameras import Camera
+from mirror.geometry.rolling_shutter import RollingShutter, ShutterDirection
+from mirror.protocols.views.view import ViewShutter
 
 WIRE_NAMES: Final = {
     "front_wide": "camera_front_wide_120fov",
@@ -105,7 +110,9 @@ class SensorService:
         for name, member in self._scene(request.scene_id).street.rig.items():
             wired = WIRE_NAMES.get(name, name)
             answer.available_cameras.add(
-                intrinsics=to_spec(member.camera, wired), rig_to_camera=to_pose(member.ego_SE3_camera), logical_id=wired
+                intrinsics=to_spec(member.camera, wired, direction=_direction(member.shutter)),
+                rig_to_camera=to_pose(member.ego_SE3_camera),
+                logical_id=wired,
             )
         return answer
 
@@ -191,7 +198,9 @@ class SensorService:
             raise UsageError("the frame ends before it starts", place="frame_end_us")
         camera = from_spec(request.camera_intrinsics).resized(width, height)
         pose = _middle(request.sensor_pose, "sensor_pose")
-        exposure_s = 1e-6 * (request.frame_end_us - request.frame_start_us)
+        exposure_us = request.frame_end_us - request.frame_start_us
+        exposure_s = 1e-6 * exposure_us
+        shutter = _shutter(request, camera, 1000 * exposure_us)
         places = {
             user.track_id: _flat_middle(user.pose_pair, f"dynamic object {user.track_id!r}", exposure_s)
             for user in request.dynamic_objects
@@ -205,7 +214,7 @@ class SensorService:
             exposure_s,
             *(user.SerializeToString() for user in request.dynamic_objects),
         )
-        view, image_format = CameraView(name, camera, pose), self._formats[request.image_format]
+        view, image_format = CameraView(name, camera, pose, shutter), self._formats[request.image_format]
         quality = round(request.image_quality) or _QUALITY
         return _Job(instant, scene, view, places, stamp_ns, image_format, quality)
 
@@ -252,11 +261,29 @@ def _size(request: Any) -> tuple[int, int]:
     return request.resolution_w or spec.resolution_w, request.resolution_h or spec.resolution_h
 
 
+def _direction(shutter: RollingShutter | None) -> ShutterDirection:
+    return shutter.direction if shutter is not None and shutter.is_rolling else "global"
+
+
+def _shutter(request: Any, camera: Camera, exposure_ns: int) -> ViewShutter | None:
+    """The shutter of an image whose first line is exposed at the start pose and whose last line is at the end pose."""
+    direction = direction_of(request.camera_intrinsics)
+    if direction == "global" or exposure_ns == 0:
+        return None
+    RollingShutter(direction, exposure_ns, camera.width_px, camera.height_px)
+    ends = _ends(request.sensor_pose, "sensor_pose")
+    return make_shutter(Readout(direction, -0.5 * exposure_ns, 0.5 * exposure_ns), ends)
+
+
+def _ends(pair: Any, place: str) -> Poses:
+    """The two poses of a pair."""
+    start, end = from_pose(pair.start_pose, place), from_pose(pair.end_pose, place)
+    return Poses(np.concatenate([start.rotation, end.rotation]), np.concatenate([start.translation, end.translation]))
+
+
 def _middle(pair: Any, place: str) -> Poses:
     """The pose in the middle of the exposure."""
-    start, end = from_pose(pair.start_pose, place), from_pose(pair.end_pose, place)
-    both = Poses(np.concatenate([start.rotation, end.rotation]), np.concatenate([start.translation, end.translation]))
-    return interpolate([0, 2], both, [1])
+    return interpolate([0, 2], _ends(pair, place), [1])
 
 
 def _flat_middle(pair: Any, place: str, exposure_s: float) -> Float64:

@@ -12,11 +12,13 @@ import numpy.typing as npt
 
 from hybridworldsim.simulator.agents.states import Agent
 from hybridworldsim.simulator.renderers.protocol import LiveUsers, ego_pose, lens_of
+from hybridworldsim.simulator.renderers.rolling import line_times, poses_at, reads_columns
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
+from mirror.protocols.views.view import ViewShutter
 from mirror.schema.documents import Roi
 from mirror.synth import (
     MARK,
@@ -25,15 +27,20 @@ from mirror.synth import (
     Condition,
     Effects,
     Instant,
+    Lens,
     Model,
     RasterizedView,
     Scene,
+    Surroundings,
+    cut_line,
     develop,
     rasterize_view,
 )
 
 _EFFECTS: Final = replace(Effects(), exposure=False, noise=False, vignetting=False, bloom=False, motion_blur=False)
 _RESPONSE: Final = CameraResponse()
+_NO_EGO: Final = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)))
+"""The place of the model of the ego vehicle, which is empty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +58,15 @@ class AgentImage:
     alpha: Float32
     depth_m: Float32
     number: Int32
+
+    def cut(self, place: tuple[slice, slice]) -> AgentImage:
+        """Return a part of the image, with its own memory."""
+        return AgentImage(
+            np.ascontiguousarray(self.rgb[place]),
+            np.ascontiguousarray(self.alpha[place]),
+            np.ascontiguousarray(self.depth_m[place]),
+            np.ascontiguousarray(self.number[place]),
+        )
 
 
 class AgentLayer:
@@ -75,9 +91,41 @@ class AgentLayer:
 
     def draw(self, instant: Instant, camera: Camera, world_SE3_camera: Poses) -> AgentImage | None:
         """Draw the agents that a pinhole camera sees; None if it sees none."""
-        lens = lens_of(camera)
         rotation = matrix_from_quaternion(world_SE3_camera.rotation)[0]
-        view = rasterize_view(instant.surroundings, lens, rotation, world_SE3_camera.translation[0])
+        return self._draw(instant.surroundings, lens_of(camera), rotation, world_SE3_camera.translation[0])
+
+    def draw_lines(self, instant: Instant, camera: Camera, shutter: ViewShutter, time_s: float) -> AgentImage | None:
+        """Draw the agents that a pinhole camera with a rolling shutter sees, each line at its own time.
+
+        Args:
+            instant: the agents at mid-exposure.
+            camera: the camera.
+            shutter: its shutter, with its poses.
+            time_s: time of mid-exposure.
+        """
+        if not instant.placements:
+            return None
+        offsets_s, columns, lens = line_times(shutter, camera), reads_columns(shutter), lens_of(camera)
+        poses = poses_at(shutter, offsets_s)
+        rotations = matrix_from_quaternion(poses.rotation)
+        shape = camera.height_px, camera.width_px
+        image = AgentImage(
+            np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32),
+            np.full(shape, -1, np.int32),
+        )  # fmt: skip
+        for number, offset_s in enumerate(offsets_s.tolist()):
+            there = self._scene.surroundings_at(instant, time_s + offset_s, _NO_EGO)
+            window, at = cut_line(lens, number, column=columns)
+            drawn = self._draw(there, window, rotations[number], poses.translation[number])
+            if drawn is None:
+                continue
+            to, place = ((slice(None), number), (slice(None), at)) if columns else ((number,), (at,))
+            image.rgb[to], image.alpha[to] = drawn.rgb[place], drawn.alpha[place]
+            image.depth_m[to], image.number[to] = drawn.depth_m[place], drawn.number[place]
+        return image if image.alpha.any() else None
+
+    def _draw(self, surroundings: Surroundings, lens: Lens, rotation: Float64, origin: Float64) -> AgentImage | None:
+        view = rasterize_view(surroundings, lens, rotation, origin)
         # What lies behind an agent is not part of it: fragments of the sky are left out of its colour.
         solid = view.which[:, 1] != SKY
         alpha = (view.surface != SKY).astype(np.float32)

@@ -11,6 +11,7 @@ import numpy as np
 
 from hybridworldsim.simulator.policies.protocol import CameraSpec
 from hybridworldsim.simulator.renderers.protocol import CameraView, LiveUsers, Renderer, ego_pose, lens_of
+from hybridworldsim.simulator.renderers.rolling import line_times, poses_at, reads_columns
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Int32, UInt8
@@ -19,7 +20,7 @@ from mirror.schema.scenario import Scenario
 from mirror.synth import Condition, instant_of
 
 if TYPE_CHECKING:
-    from mirror.synth import Scene, SynthDrive
+    from mirror.synth import Instant, RenderedImage, RollingImage, Scene, SynthDrive
 
 _NOISE_SEEDS = 1 << 31
 _SCENES_HELD: Final = 2
@@ -75,12 +76,24 @@ class ExactRenderer(Renderer):
         images: dict[str, UInt8] = {}
         for number, view in enumerate(views):
             noise = np.random.SeedSequence([self._seed, number, snapshot.step]).generate_state(1, np.uint64)[0]
-            rendered = self._scene.render(
-                instant, lens_of(view.camera), view.world_SE3_camera, seed=int(noise % _NOISE_SEEDS)
-            )
+            rendered = self._draw_view(snapshot, instant, view, int(noise % _NOISE_SEEDS))
             images[view.name] = np.ascontiguousarray(rendered.bgr[..., ::-1])
             self._masks[view.name] = rendered.view.object
         return images
+
+    def _draw_view(
+        self, snapshot: Snapshot, instant: Instant, view: CameraView, seed: int
+    ) -> RenderedImage | RollingImage:
+        lens = lens_of(view.camera)
+        if view.shutter is None:
+            return self._scene.render(instant, lens, view.world_SE3_camera, seed=seed)
+        offsets_s = line_times(view.shutter, view.camera)
+        cameras = poses_at(view.shutter, offsets_s)
+        # the vehicle moves with its camera
+        egos = cameras @ (view.world_SE3_camera.inverse() @ ego_pose(self._street, snapshot))
+        return self._scene.render_lines(
+            instant, lens, snapshot.time_s + offsets_s, egos, cameras, columns=reads_columns(view.shutter), seed=seed
+        )
 
     def agent_masks(self) -> Mapping[str, Int32]:
         """Return, for the last images, the number (H, W) of the agent that each pixel shows; -1: none."""

@@ -171,7 +171,8 @@ class GeneratedRenderer(Renderer):
         if snapshot.step != self._step:
             if self._step is None or snapshot.step != self._step + 1:
                 self._seeds, self._rollout = [], None
-            by_name = {view.name: view for view in views}
+            # the network knows the scene at one instant
+            by_name = {view.name: replace(view, shutter=None) for view in views}
             images = self._next_frame(snapshot, [by_name[name] for name in self._names])
             self._shown = dict(zip(self._names, images))
             self._step = snapshot.step

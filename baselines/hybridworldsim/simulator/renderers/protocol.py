@@ -12,14 +12,17 @@ import numpy as np
 
 from hybridworldsim.simulator.agents.bodies import body_of_size
 from hybridworldsim.simulator.agents.states import Agent
+from hybridworldsim.simulator.ego.vehicle import coast
 from hybridworldsim.simulator.policies.protocol import CameraSpec
+from hybridworldsim.simulator.renderers.rolling import fit_readout, make_shutter
 from hybridworldsim.simulator.street.ground import StreetGround
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
-from mirror.arrays import UInt8
+from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera, undistorted
+from mirror.protocols.views.view import ViewShutter
 from mirror.synth import Body, RoadUser
 from mirror.traffic.placement.motion import Placement
 
@@ -39,12 +42,14 @@ class CameraView:
     Attributes:
         name: its name.
         camera: lens and raster; a pinhole.
-        world_SE3_camera: where it is.
+        world_SE3_camera: where it is at mid-exposure.
+        shutter: its rolling shutter; None: all of it is seen at mid-exposure.
     """
 
     name: str
     camera: Camera
     world_SE3_camera: Poses
+    shutter: ViewShutter | None = None
 
 
 class Renderer(ABC):
@@ -88,10 +93,21 @@ class Renderer(ABC):
         return None
 
     def _views_of(self, snapshot: Snapshot, cameras: Sequence[str]) -> list[CameraView]:
-        """Return cameras of the ego vehicle at their places."""
+        """Return cameras of the ego vehicle at their places.
+
+        A camera with a rolling shutter moves during its readout as the ego does at its present acceleration and
+        steering angle.
+        """
         world_SE3_ego = ego_pose(self._street, snapshot)
-        specs = {name: self._cameras[name] for name in cameras}
-        return [CameraView(name, spec.camera, world_SE3_ego @ spec.ego_SE3_camera) for name, spec in specs.items()]
+        views = []
+        for name in cameras:
+            spec = self._cameras[name]
+            readout, shutter = spec.readout, None
+            if readout is not None:
+                egos = ego_poses(self._street, snapshot, 1e-9 * np.array([readout.first_ns, readout.last_ns]))
+                shutter = make_shutter(readout, egos @ spec.ego_SE3_camera)
+            views.append(CameraView(name, spec.camera, world_SE3_ego @ spec.ego_SE3_camera, shutter))
+        return views
 
     @abstractmethod
     def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]: ...
@@ -139,7 +155,8 @@ def rig_cameras(
         if width_px is not None:
             height = height_px or max(round(camera.height_px * width_px / camera.width_px), 1)
             camera = camera.resized(width_px, height)
-        specs[name] = CameraSpec(camera, member.ego_SE3_camera)
+        readout = fit_readout(member.camera, member.shutter, camera)
+        specs[name] = CameraSpec(camera, member.ego_SE3_camera, readout)
     return specs
 
 
@@ -159,23 +176,42 @@ def ego_pose(street: Street, snapshot: Snapshot) -> Poses:
     )
 
 
+def ego_poses(street: Street, snapshot: Snapshot, offsets_s: Float64) -> Poses:
+    """Return ``world_SE3_ego`` of the ego at times (N,) from an instant, from its motion then."""
+    poses = [
+        ego_pose(street, replace(snapshot, ego=coast(snapshot.vehicle, snapshot.ego, float(offset))))
+        for offset in offsets_s
+    ]
+    return Poses(
+        np.concatenate([pose.rotation for pose in poses]), np.concatenate([pose.translation for pose in poses])
+    )
+
+
 _FAR_M: Final = 1e6
 _ABSENT: Final = Placement(_FAR_M, _FAR_M, 0.0, 0.0)
 
 
 @dataclass(eq=False)
 class LiveMotion:
-    """The motion of an agent's body: its present placement, which `LiveUsers.update` sets.
+    """The motion of an agent's body: its present placement and velocity, which `LiveUsers.update` sets.
 
     Attributes:
         placement: the placement; far away while the agent is absent.
+        velocity_mps: velocity along x and y in the world.
+        time_s: time of the placement.
     """
 
     placement: Placement = _ABSENT
+    velocity_mps: tuple[float, float] = (0.0, 0.0)
+    time_s: float = 0.0
 
     def at(self, time_s: float) -> Placement:
-        """Return the present placement, whatever the time."""
-        return self.placement
+        """Return the placement at a time beside the present one, such as that of a line of an image."""
+        place, (x, y), later_s = self.placement, self.velocity_mps, time_s - self.time_s
+        if later_s == 0.0 or place is _ABSENT:
+            return place
+        along = place.along_m + later_s * place.speed_mps
+        return replace(place, x_m=place.x_m + later_s * x, y_m=place.y_m + later_s * y, along_m=along)
 
 
 class LiveUsers:
@@ -216,6 +252,8 @@ class LiveUsers:
             self.motions[row].placement = replace(
                 place, speed_mps=float(speeds[row]), along_m=float(states.along_m[row])
             )
+            self.motions[row].velocity_mps = float(states.vx_mps[row]), float(states.vy_mps[row])
+            self.motions[row].time_s = snapshot.time_s
 
 
 def body_of(agent: Agent) -> Body:

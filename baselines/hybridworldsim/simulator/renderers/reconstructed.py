@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -24,17 +25,17 @@ from hybridworldsim.simulator.renderers.compositing import (
     hiding_depth,
 )
 from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer, to_arrays
+from hybridworldsim.simulator.renderers.rolling import Band, cut_bands
 from hybridworldsim.simulator.street.street import Street, StreetRecording
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import AnyArray, Float32, Float64, Int32, UInt8
 from mirror.devices import CPU
 from mirror.errors import UsageError
-from mirror.geometry import matrix_from_quaternion
 from mirror.methods.model import ModelFolder, ModelRenderer
 from mirror.methods.model_document import Reconstruction, read_reconstruction, require_finished
-from mirror.protocols.views.view import RenderView
+from mirror.protocols.views.view import RenderView, ViewShutter
 from mirror.schema.scenario import Scenario
-from mirror.synth import Condition, instant_of
+from mirror.synth import Condition, Instant, instant_of
 
 _NO_POSITION = (0.0, 45.0)
 _NEAR_M = 70.0
@@ -179,13 +180,13 @@ class ReconstructedRenderer(Renderer):
         def work(number: int) -> None:
             view = views[number]
             clock = time.thread_time()
-            agents = self.layer.draw(instant, view.camera, view.world_SE3_camera)
+            agents = self._draw_agents(instant, view, snapshot.time_s)
             clock = self.seconds.add("agents", clock)
             seen = self._render_view(view, snapshot)
             limit_m = None if agents is None else hiding_depth(agents)
             empty = self._draw_background(seen, limit_m)
             clock = self.seconds.add("street", clock)
-            rgb, shown = put(view, empty, agents, limit_m, boxes)
+            rgb, shown = _put_in_bands(put, self._bands(view), empty, agents, boxes)
             self._shown[view.name] = shown, None if agents is None else agents.number
             noise = np.random.SeedSequence([self._seed, number, snapshot.step]).generate_state(1, np.uint64)[0]
             images[view.name] = self._expose(seen, rgb, int(noise))
@@ -194,12 +195,25 @@ class ReconstructedRenderer(Renderer):
         in_parallel(work, len(views))
         return {view.name: images[view.name] for view in views}
 
+    def _bands(self, view: CameraView) -> list[Band]:
+        return list(cut_bands(view.camera, view.world_SE3_camera, self._shutter_of(view)))
+
+    def _shutter_of(self, view: CameraView) -> ViewShutter | None:
+        """Return the shutter through which agents are seen: models on a GPU show the street at mid-exposure."""
+        return None if self._model.device.type == "cuda" else view.shutter
+
+    def _draw_agents(self, instant: Instant, view: CameraView, time_s: float) -> AgentImage | None:
+        shutter = self._shutter_of(view)
+        if shutter is None:
+            return self.layer.draw(instant, view.camera, view.world_SE3_camera)
+        return self.layer.draw_lines(instant, view.camera, shutter, time_s)
+
     def _put_compiled(
-        self, view: CameraView, empty: _Background, agents: AgentImage | None, limit_m: Float32 | None, boxes: Float64
+        self, band: Band, empty: _Background, agents: AgentImage | None, boxes: Float64
     ) -> tuple[Tensor, Tensor]:
         """Put agents and their shadows into an image by compiled kernels; return it, and (H, W) where it shows one."""
         rgb, depth_m, covered = (part.numpy() for part in (empty.rgb, empty.depth_m, empty.covered))
-        camera = _lens_numbers(view), *_placement(view)
+        camera = band.lens, band.rotation, band.origin
         add_contact_shadows(rgb, depth_m, *camera, boxes)
         if agents is None:
             return empty.rgb, torch.zeros(depth_m.shape, dtype=torch.bool)
@@ -207,14 +221,14 @@ class ReconstructedRenderer(Renderer):
         return torch.from_numpy(image), torch.from_numpy(shown)
 
     def _put_elsewhere(
-        self, view: CameraView, empty: _Background, agents: AgentImage | None, limit_m: Float32 | None, boxes: Float64
+        self, band: Band, empty: _Background, agents: AgentImage | None, boxes: Float64
     ) -> tuple[Tensor, Tensor]:
         """Do as `_put_compiled`, in plain torch on the device of the image."""
-        camera = _lens_numbers(view), *_placement(view)
+        camera = band.lens, band.rotation, band.origin
         plain.add_contact_shadows(empty.rgb, empty.depth_m, *camera, boxes)
-        if agents is None or limit_m is None:
+        if agents is None:
             return empty.rgb, torch.zeros_like(empty.depth_m, dtype=torch.bool)
-        layer = plain.AgentTensors(self._move(agents.rgb), self._move(agents.alpha), self._move(limit_m))
+        layer = plain.AgentTensors(self._move(agents.rgb), self._move(agents.alpha), self._move(hiding_depth(agents)))
         free = self._move(self._free.is_free)
         return plain.compose(empty.rgb, empty.depth_m, empty.covered, layer, *camera, free, self._free.origin_m)
 
@@ -249,7 +263,7 @@ class ReconstructedRenderer(Renderer):
             light=recording.light if recording else "day", weather=recording.weather if recording else "clear",
             model="pinhole", width_px=camera.width_px, height_px=camera.height_px, fx_px=camera.fx_px,
             fy_px=camera.fy_px, cx_px=camera.cx_px, cy_px=camera.cy_px, distortion=(),
-            world_SE3_camera=place.world_SE3_camera,
+            world_SE3_camera=place.world_SE3_camera, shutter=place.shutter,
         )  # fmt: skip
 
     def _expose(self, view: RenderView, rgb: Tensor, noise_seed: int | None) -> Tensor:
@@ -296,16 +310,31 @@ class _Background:
     depth_m: Tensor
     covered: Tensor
 
+    def cut(self, place: tuple[slice, slice]) -> _Background:
+        """Return a part of the image, with memory in one piece."""
+        return _Background(*(part[place].contiguous() for part in (self.rgb, self.depth_m, self.covered)))
 
-def _lens_numbers(view: CameraView) -> Float64:
-    lens = view.camera
-    return np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px])
+
+_Put: TypeAlias = Callable[[Band, _Background, AgentImage | None, Float64], tuple[Tensor, Tensor]]
 
 
-def _placement(view: CameraView) -> tuple[Float64, Float64]:
-    """World_R_camera (3, 3) and the position (3,) of a camera."""
-    pose = view.world_SE3_camera
-    return matrix_from_quaternion(pose.rotation)[0], pose.translation[0]
+def _put_in_bands(
+    put: _Put, bands: Sequence[Band], empty: _Background, agents: AgentImage | None, boxes: GroundBoxes
+) -> tuple[Tensor, Tensor]:
+    """Put agents and their shadows into the bands of an image, which follow each other along one side."""
+    parts = [
+        put(
+            band,
+            empty.cut(band.place),
+            None if agents is None else agents.cut(band.place),
+            boxes.at(band.offset_s),
+        )
+        for band in bands
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    side = 0 if bands[0].place[1] == slice(None) else 1
+    return torch.cat([rgb for rgb, _ in parts], dim=side), torch.cat([shown for _, shown in parts], dim=side)
 
 
 def _to_levels(colours: Tensor) -> Tensor:
@@ -337,13 +366,31 @@ def _condition(street: Street, traversal: str, scenario: Scenario) -> Condition:
     return Condition(instant_of("2025-06-21", light, *_NO_POSITION), light, weather)
 
 
-def _ground_boxes(street: Street, snapshot: Snapshot) -> Float64:
-    """(N, 6) x, y, height of the ground, yaw, half length and half width of the agents near the ego."""
+class GroundBoxes(NamedTuple):
+    """The agents near the ego, as rectangles on the ground.
+
+    Attributes:
+        boxes: (N, 6) x, y, height of the ground, yaw, half length and half width.
+        velocity_mps: (N, 2) velocities along x and y.
+    """
+
+    boxes: Float64
+    velocity_mps: Float64
+
+    def at(self, offset_s: float) -> Float64:
+        """Return the boxes at a time from the instant."""
+        if not offset_s:
+            return self.boxes
+        return np.concatenate([self.boxes[:, :2] + offset_s * self.velocity_mps, self.boxes[:, 2:]], axis=1)
+
+
+def _ground_boxes(street: Street, snapshot: Snapshot) -> GroundBoxes:
     states, ego = snapshot.states, snapshot.ego
     near = states.present & (np.hypot(states.x_m - ego.x_m, states.y_m - ego.y_m) < _NEAR_M)
     rows = np.flatnonzero(near)
     if not len(rows):
-        return np.zeros((0, 6))
+        return GroundBoxes(np.zeros((0, 6)), np.zeros((0, 2)))
     sizes = 0.5 * np.array([snapshot.agents[row].size_m[:2] for row in rows])
     height = np.asarray(street.ground.height_m(states.x_m[rows], states.y_m[rows]))
-    return np.column_stack([states.x_m[rows], states.y_m[rows], height, states.yaw_rad[rows], sizes])
+    boxes = np.column_stack([states.x_m[rows], states.y_m[rows], height, states.yaw_rad[rows], sizes])
+    return GroundBoxes(boxes, np.column_stack([states.vx_mps[rows], states.vy_mps[rows]]))

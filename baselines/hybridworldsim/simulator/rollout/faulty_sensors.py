@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -48,7 +49,7 @@ class FaultySensors:
             place = spec.ego_SE3_camera.translation
             turn = Poses(np.array([[np.cos(half), 0.0, 0.0, np.sin(half)]]), np.zeros((1, 3)))
             about = turn @ Poses(spec.ego_SE3_camera.rotation, np.zeros_like(place))
-            turned[name] = CameraSpec(spec.camera, Poses(about.rotation, place))
+            turned[name] = replace(spec, ego_SE3_camera=Poses(about.rotation, place))
         return turned
 
     def change(self, images: Mapping[str, UInt8], step: int, time_s: float) -> dict[str, UInt8]:

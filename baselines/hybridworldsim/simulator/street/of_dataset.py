@@ -77,7 +77,8 @@ def street_of_dataset(
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
     first = next(iter(by_traversal.values()))[0]
     rig = {
-        name: EgoCamera(image.camera_model, image.calibration.ego_SE3_camera) for name, image in first.images.items()
+        name: EgoCamera(image.camera_model, image.calibration.ego_SE3_camera, image.shutter)
+        for name, image in first.images.items()
     }
     return Street(
         scene_id=scene or scenes[0],

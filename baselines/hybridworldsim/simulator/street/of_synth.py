@@ -58,7 +58,8 @@ def street_of_drive(drive: SynthDrive) -> Street:
         drive.condition.weather,
     )
     rig = {
-        name: EgoCamera(camera, drive.vehicle.ego_SE3_camera[name]) for name, camera in drive.vehicle.cameras.items()
+        name: EgoCamera(camera, drive.vehicle.ego_SE3_camera[name], drive.vehicle.shutter(name))
+        for name, camera in drive.vehicle.cameras.items()
     }
     return Street(
         scene_id=drive.roi.scene_id,

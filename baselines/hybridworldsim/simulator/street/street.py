@@ -15,6 +15,7 @@ from hybridworldsim.simulator.street.ground import StreetGround
 from mirror.arrays import Bool, Float64
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
+from mirror.geometry.rolling_shutter import RollingShutter
 from mirror.schema.documents import Roi
 from mirror.schema.road_features import SignalState
 from mirror.schema.road_map import RoadMap
@@ -34,10 +35,12 @@ class EgoCamera:
     Attributes:
         camera: its lens and raster.
         ego_SE3_camera: its mounting.
+        shutter: its shutter; None: all of an image is exposed at one instant.
     """
 
     camera: Camera
     ego_SE3_camera: Poses
+    shutter: RollingShutter | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -200,7 +200,7 @@ class ReconstructedRenderer(Renderer):
 
     def _shutter_of(self, view: CameraView) -> ViewShutter | None:
         """Return the shutter through which agents are seen: models on a GPU show the street at mid-exposure."""
-        return None if self._model.device.type == "cuda" else view.shutter
+        return None if self._model.device.startswith("cuda") else view.shutter
 
     def _draw_agents(self, instant: Instant, view: CameraView, time_s: float) -> AgentImage | None:
         shutter = self._shutter_of(view)

@@ -18,6 +18,7 @@ import torch
 import tyro
 
 from benchmarks.gpu import table
+from benchmarks.gpu.bringing import describe_needs
 from benchmarks.gpu.machine import Machine
 from benchmarks.gpu.quantities import BUDGETS_S, METHODS, Measurement, PartResult, full_part, list_quantities
 from benchmarks.gpu.streets import StreetData, choose_street, make_street
@@ -45,7 +46,7 @@ class Arguments:
     data: Path | None = None
     """Folder of the street. Default: benchmarks/out/gpu/PRESET."""
     prepare: bool = False
-    """Make the street only."""
+    """Make the street only, and print what to bring to a machine without a network."""
     table: bool = False
     """Write the table of docs/performance.md from docs/gpu only."""
 
@@ -74,6 +75,7 @@ def main(argv: Sequence[str]) -> int:
         )  # fmt: skip
     measured = _measure(machine, arguments)
     if arguments.prepare:
+        print(describe_needs(choose_street(machine, arguments.data)))
         return ExitCode.DONE
     if machine.is_gpu and machine.scale == 1.0:
         table.write_table()

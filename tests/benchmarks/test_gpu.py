@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
 import torch
 
 from benchmarks.gpu import benchmark, networks, splats, training
+from benchmarks.gpu.bringing import EXTRAS, ROOT, describe_needs
 from benchmarks.gpu.machine import Machine, Stopwatch
 from benchmarks.gpu.quantities import BUDGETS_S, METHODS, Measurement, PartResult, full_part, list_quantities
+from benchmarks.gpu.streets import StreetData
 from benchmarks.gpu.table import ABSENT, PAGE, make_table, read_measurements, write_table
 from benchmarks.gpu.training import reached_s
 from mirror.errors import DatasetError, UsageError
@@ -111,6 +114,18 @@ def test_the_table_shows_what_was_measured_and_nothing_else(tmp_path: Path) -> N
 
 def test_the_page_has_the_table_of_the_documents() -> None:
     assert make_table(read_measurements()) in PAGE.read_text(), "run `python -m benchmarks gpu --table`"
+
+
+def test_what_to_bring_names_the_street_the_wheels_and_every_call(tmp_path: Path) -> None:
+    (tmp_path / "images").write_bytes(bytes(3_000_000))
+    said = describe_needs(StreetData(tmp_path, "tiny"))
+    assert f"({tmp_path}, 0.00 GB)" in said and f"torch {torch.__version__}" in said
+    for command in ("pip download --dest wheels torch", "gsplat==1.5.3", "-e '.[models,gpu]'"):
+        assert command in said
+    for method in METHODS:
+        assert f"python -m benchmarks gpu --full {method}" in said
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(EXTRAS.split(",")) <= set(extras)
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,9 @@ from mirror.devices import CPU
 
 _LUMA = (0.299, 0.587, 0.114)
 _STEP, _JUMP, _NEUTRAL, _CONTRAST = 8, 48, 100, 0.05
+_PLAIN_BYTES = 17
+"""Of plain torch, per pixel and facing plane: the costs, their sums, and the copies of both directions."""
+_PLAIN_WARPED = 1 << 29
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class PlaneSweep:
     """A `DepthEstimator` by plane sweep. Its results do not depend on the number of threads.
 
     The CPU runs compiled kernels, other devices plain torch. Memory: 3 bytes per pixel and facing plane, and the
-    images; in plain torch also about 0.5 GB, or 40 bytes per pixel and source where that is more.
+    images; in plain torch see `estimate_bytes`.
 
     Attributes:
         planes: number of planes that face the camera, evenly spaced in inverse depth: the resolution of depth before
@@ -137,3 +140,8 @@ def to_grey(image: StereoImage) -> Float32:
     """Compute the luma (H, W) of an image, from -0.5 to 0.5; NaN at invalid pixels."""
     luma: Float64 = image.rgb @ np.array(_LUMA) / 255.0 - 0.5
     return np.where(image.valid, luma, np.nan).astype(np.float32)
+
+
+def estimate_bytes(width_px: int) -> int:
+    """Estimate the memory, in bytes, of a `PlaneSweep` in plain torch, if images are square at most."""
+    return _PLAIN_BYTES * PlaneSweep.planes * width_px**2 + _PLAIN_WARPED

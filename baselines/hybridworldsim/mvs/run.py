@@ -10,6 +10,7 @@ from pathlib import Path
 from hybridworldsim.mvs.estimator import DepthEstimator
 from hybridworldsim.mvs.methods import SPARSE, make_estimator
 from hybridworldsim.mvs.options import InitialisationOptions
+from hybridworldsim.mvs.plane_sweep import estimate_bytes
 from hybridworldsim.mvs.writing.layers import InitialisationLayers
 from hybridworldsim.mvs.writing.scene import SceneInitialisation
 from mirror.dataset.content_hashes import ContentHashes
@@ -17,7 +18,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.unfinished_work import remove_work
 from mirror.dataset.writing import writing_layers
-from mirror.devices import CPU
+from mirror.devices import CPU, require_memory
 from mirror.methods.training_images import ImageKey
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.hashing import hash_document
@@ -82,7 +83,8 @@ def initialise(
         progress: receives the phases and their progress.
 
     Raises:
-        DatasetError: layers of this name exist, and were made from other traversals or with other options.
+        DatasetError: layers of this name exist, and were made from other traversals or with other options; or a GPU has
+            too little memory.
         UsageError: the split or the method does not exist, or the dataset is not local.
     """
     chosen = options or InitialisationOptions()
@@ -93,6 +95,8 @@ def initialise(
     if method == SPARSE and estimator is None:
         kinds: tuple[str, ...] = ("points",)
     else:
+        if device != CPU:
+            require_memory(device, estimate_bytes(chosen.width_px), "a smaller --width-px, or --device cpu")
         estimator = estimator or make_estimator(method, weights, device)
         kinds = ("depth", "masks", "points") if chosen.sky else ("depth", "points")
     reporter = progress or NullProgress()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import overload
@@ -17,6 +17,7 @@ from mirror.dataset.query.arrow import to_numpy
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.query.filters import Filters
 from mirror.dataset.query.select import RowGroupPart, select_parts
+from mirror.dataset.read_ahead import ByteRange
 from mirror.dataset.traversal import CameraCalibration, FrameBoxes, Traversal
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
@@ -166,7 +167,9 @@ class Frame:
                     f"camera {image.camera} of {self._name} has {image.width_px} x {image.height_px} px",
                     expected=f"{out.shape[2]} x {out.shape[1]} px",
                 )
-        _decode_into(jobs, threads=threads, verify=verify)
+        ranges = [ByteRange(image.uri, image.byte_offset, image.byte_length) for image, _ in jobs]
+        with self._loader.read_ahead.reading([] if any(image.video_pts is not None for image, _ in jobs) else ranges):
+            _decode_into(jobs, threads=threads, verify=verify)
 
     def _repr_html_(self) -> str:
         """Return the frame as HTML for notebooks: a thumbnail of each image and a table."""
@@ -241,7 +244,57 @@ class FrameSequence(Sequence[Frame]):
         )
 
     def __iter__(self) -> Iterator[Frame]:
-        return (self[index] for index in range(len(self)))
+        """The frames in order; images of the next ones are being read where they lie far away."""
+        for (frame,) in self.read_ahead([index] for index in range(len(self))):
+            yield frame
+
+    def read_ahead(
+        self, groups: Iterable[Sequence[int]], cameras: Sequence[str] | None = None, *, masks: bool = False
+    ) -> Iterator[list[Frame]]:
+        """Yield the frames of groups of indices, such as batches, while the images of the next ones are being read.
+
+        Only images that are not on a disk of this machine are read ahead: those side by side in one request, and up to
+        `mirror.dataset.read_ahead.WINDOW_BYTES` of them. The order and the images do not depend on it.
+
+        Args:
+            groups: indices of frames.
+            cameras: cameras whose images are needed; None: all of the view.
+            masks: read the masks of the images too.
+
+        Example:
+            >>> frames = mirror.open("dataset").frames()
+            >>> [[frame.frame_index for frame in batch] for batch in frames.read_ahead([[2, 0], [1]])]
+            [[2, 0], [1]]
+        """
+        ahead = self._loader.read_ahead
+
+        def find_ranges(frames: list[Frame]) -> list[ByteRange]:
+            found = []
+            for frame in frames:
+                for camera, image in frame.images.items():
+                    if (cameras is not None and camera not in cameras) or image.is_withheld:
+                        continue
+                    if image.video_pts is None:
+                        found.append(ByteRange(image.uri, image.byte_offset, image.byte_length))
+                    if masks:
+                        found += [ByteRange(mask.uri, 0, mask.byte_length) for mask in image.masks()]
+            return [one for one in found if ahead.is_far(one.uri)]
+
+        made = ([self[index] for index in group] for group in groups)
+        if self._loader.store.folder is not None and not self._has_far_images:
+            yield from made
+            return
+        yield from ahead.over(made, find_ranges)
+
+    @cached_property
+    def _has_far_images(self) -> bool:
+        """Whether the first image is not in the dataset."""
+        loader = self._loader
+        group = loader.catalog.group_of("images", self.parts[0].traversal) if self.parts else None
+        if group is None:
+            return False
+        (uris,) = loader.catalog.columns.read(*group, ["uri"])
+        return any(loader.read_ahead.is_far(uri) for uri in uris[:1].to_pylist())
 
 
 def _decode_into(images: Sequence[tuple[Image, UInt8]], *, threads: int | None, verify: bool) -> None:

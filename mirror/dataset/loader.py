@@ -14,6 +14,7 @@ import pyarrow as pa
 from mirror.arrays import Float32, UInt8
 from mirror.dataset.layers import LayerChoice
 from mirror.dataset.query.catalog import Catalog
+from mirror.dataset.read_ahead import ReadAhead
 from mirror.dataset.store import Store
 from mirror.dataset.traversal import Traversal
 from mirror.dataset.withheld import image_remedy
@@ -33,11 +34,17 @@ class Loader:
         catalog: the index.
         layers: the layers to read.
         cameras: the cameras of the view; None: all.
+
+    Attributes:
+        catalog: the index.
+        store: the dataset's files.
+        read_ahead: bytes that were asked for before they are needed.
     """
 
     def __init__(self, catalog: Catalog, layers: LayerChoice, cameras: frozenset[str] | None) -> None:
         self.catalog = catalog
         self.store: Store = catalog.store
+        self.read_ahead = ReadAhead(self.store)
         self._layers = layers
         self._cameras = cameras
         self._traversals: OrderedDict[int, Traversal] = OrderedDict()
@@ -133,7 +140,8 @@ class Loader:
             DatasetError: the file is missing or too short.
         """
         try:
-            data = self.store.read_range(uri, offset, length)
+            ahead = self.read_ahead.take(uri, offset, length)
+            data = self.store.read_range(uri, offset, length) if ahead is None else ahead
         except OSError as error:
             raise self._unreadable(uri, place, f"cannot be read: {error.strerror or error}") from error
         if len(data) != length:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Final, TypedDict, Unpack
 
@@ -20,7 +20,7 @@ from torch.utils.data import IterableDataset, default_collate, get_worker_info
 from mirror.arrays import Int64
 from mirror.dataset.contents import ImageLayout, raster_shapes, resolve_contents
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import FrameSequence
+from mirror.dataset.frames import Frame, FrameSequence
 from mirror.dataset.raster import Resize
 from mirror.dataset.samples import LENS_MODELS, Sample, camera_of, make_sample
 from mirror.errors import UsageError
@@ -164,12 +164,29 @@ class FrameDataset(TorchDataset[Sample]):
         return len(self.frames)
 
     def __getitem__(self, index: int) -> Sample:
-        return make_sample(self.frames[int(index)], self._contents, self.shape)
+        return self.__getitems__([index])[0]
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
+        """The samples of a batch, which torch's loaders ask for; their images are read together."""
+        return [self.make(frame) for frames in self.read_ahead([indices]) for frame in frames]
+
+    def read_ahead(self, groups: Iterable[Sequence[int] | Int64]) -> Iterator[list[Frame]]:
+        """Yield the frames of groups of indices, while the images of the next groups are being read."""
+        plain = ([int(index) for index in group] for group in groups)
+        return self.frames.read_ahead(plain, self.cameras, masks=bool(self.masks))
 
     def unpadded(self, index: int) -> Sample:
         """Make the sample of a frame with image tensors as large as the largest image of its traversal."""
-        frame = self.frames[int(index)]
-        return make_sample(frame, self._contents, self._shape_of(frame.traversal_id))
+        return self.make(self.frames[int(index)], padded=False)
+
+    def make(self, frame: Frame, *, padded: bool = True) -> Sample:
+        """Make the sample of a frame.
+
+        Args:
+            frame: the frame.
+            padded: image tensors as large as the largest image of the view; False: of the frame's traversal.
+        """
+        return make_sample(frame, self._contents, self.shape if padded else self._shape_of(frame.traversal_id))
 
     def shapes(self) -> Int64:
         """Return the height and width (F, 2) of the image tensors that `unpadded` makes for each of F frames."""
@@ -265,8 +282,10 @@ class IterableFrames(IterableDataset[Sample]):
         batches = self._batches()
         # Worker w takes every n-th batch from the first remaining one. A loader takes a batch from each worker in turn,
         # so batches come in order, and the used ones are always the first of the epoch.
-        for step in range(self._step + number, len(batches), workers):
-            yield {**default_collate(self._load(batches[step])), "epoch": self._epoch, "step": step}
+        steps = range(self._step + number, len(batches), workers)
+        frames = self._samples.read_ahead(batches[step] for step in steps)
+        for step, batch in zip(steps, frames):
+            yield {**default_collate(self._load(batch)), "epoch": self._epoch, "step": step}
 
     def state_dict(self, batch: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the state that, when loaded, continues after a batch.
@@ -311,9 +330,8 @@ class IterableFrames(IterableDataset[Sample]):
         self._epoch = state["epoch"]
         self._step = state["step"]
 
-    def _load(self, indices: Int64) -> list[Sample]:
-        read = self._samples.unpadded if self._group_by_size else self._samples.__getitem__
-        return [read(int(index)) for index in indices]
+    def _load(self, frames: Sequence[Frame]) -> list[Sample]:
+        return [self._samples.make(frame, padded=not self._group_by_size) for frame in frames]
 
     def _group_numbers(self) -> Int64:
         """The number (F,) of the group of each of F frames; frames of one group may share a batch."""

@@ -25,6 +25,8 @@ from mirror.schema.version import require_readable
 MAX_OPEN_FILES: Final = 64
 _INDEX: Final = "index/"
 _CHUNK_BYTES: Final = 1024 * 1024
+_WHOLE_BYTES: Final = 4 << 20
+"""A remote file of the index up to this size is read as a whole, in one request, and held against its hash."""
 _Identity: TypeAlias = tuple[int, int, int, int]
 
 
@@ -32,7 +34,7 @@ class TableFiles:
     """A pool of open Parquet files; beyond a limit, the least recently used file is closed.
 
     A local file of the index is compared with the hash in the manifest. Of a remote file only some ranges are fetched,
-    so only its size is compared.
+    so only its size is compared; a small one is fetched as a whole.
 
     Args:
         store: the dataset's files.
@@ -69,12 +71,13 @@ class TableFiles:
         try:
             # The file is opened once, so that the compared file is also the one that is read.
             before = self._identify(path)
-            file = self.store.open(path)
+            file = self._open_bytes(path)
             identity = before if before == self._identify(path) else None
             if path.startswith(_INDEX) and not self._is_in_manifest(path, file, identity):
                 file.close()
                 raise self._changed_error(path)
-            parquet = pq.ParquetFile(file)
+            # Columns of a row group of a remote file come in one request.
+            parquet = pq.ParquetFile(file, pre_buffer=self.store.folder is None)
         except FileNotFoundError as error:
             if path.startswith(_INDEX):
                 raise self._changed_error(path) from error
@@ -91,6 +94,14 @@ class TableFiles:
             require_readable(version.decode(), name)
         return parquet
 
+    def _open_bytes(self, path: str) -> pa.NativeFile:
+        if self.store.folder is None and path.startswith(_INDEX):
+            segment, _, name = path.removeprefix(_INDEX).partition("/")
+            entry = self._entries_of(segment).get(name)
+            if entry is not None and entry.bytes <= _WHOLE_BYTES:
+                return pa.BufferReader(self.store.read(path))
+        return self.store.open(path)
+
     def _identify(self, path: str) -> _Identity | None:
         """The identity of a local file's state; None for a remote file."""
         if self.store.folder is None:
@@ -103,7 +114,7 @@ class TableFiles:
         entry = self._entries_of(segment).get(name)
         if entry is None or file.size() != entry.bytes:
             return False
-        if not isinstance(file, pa.OSFile):
+        if isinstance(file, pa.PythonFile):
             return True
         # A file that is opened again and has not changed is not hashed again.
         if identity is None or self._hashed.get(path) != identity:

@@ -288,7 +288,7 @@ class FrameSequence(Sequence[Frame]):
 
     @cached_property
     def _has_far_images(self) -> bool:
-        """Whether the first image is not in the dataset."""
+        """Return whether the first image is not in the dataset."""
         loader = self._loader
         group = loader.catalog.group_of("images", self.parts[0].traversal) if self.parts else None
         if group is None:

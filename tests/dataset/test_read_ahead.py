@@ -81,7 +81,7 @@ def test_a_frame_alone_is_one_request(bucket: Bucket, local: Path) -> None:
 
 
 def steps(batches: Iterator[dict[str, object]]) -> list[object]:
-    """What batches have: their numbers, frames and pixels."""
+    """Return the numbers, frames and pixels of batches."""
     return [(batch["step"], batch["frame_index"].tolist(), batch["images"].numpy().tobytes()) for batch in batches]
 
 

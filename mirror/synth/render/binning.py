@@ -55,7 +55,7 @@ def find_facing(
     z: float,
     least_rad: float,
     ground: bool,
-) -> tuple[Int64, Float32, Int64]:
+) -> tuple[Int64, Float32, Float64, Int64]:
     """Find the surfaces in a view that face the camera and are large enough to be visible.
 
     Args:
@@ -71,11 +71,12 @@ def find_facing(
         ground: whether faces of the ground are included.
 
     Returns:
-        (N,) surface indices, nearest first; (N,) lower bounds of their distances, metres; (N + 1,) index of the first
-        row of coefficients of each surface, for `fill_ray_tests`.
+        (N,) surface indices, nearest first; (N,) lower bounds of their distances, metres; (N, 5) cones around them:
+        axis, cosine and sine of the half angle, and (0, 0, 0, -2, 1) where the camera is in the bounding sphere;
+        (N + 1,) index of the first row of coefficients of each surface, for `fill_ray_tests`.
     """
     chosen, distances = np.empty(len(spheres), np.int64), np.empty(len(spheres), np.float32)
-    needed = np.empty(len(spheres), np.int64)
+    needed, found = np.empty(len(spheres), np.int64), np.empty((len(spheres), 5))
     first, count = levels[LEVELS - 1, 0], levels[LEVELS - 1, 1] * levels[LEVELS - 1, 2]
     turned = _rotate_cones(cones[first : first + count], rotation)
     used = 0
@@ -93,23 +94,31 @@ def find_facing(
         far = math.sqrt(dx * dx + dy * dy + dz * dz)
         if spheres[index, 3] < least_rad * far:
             continue
+        sine, cosine = 1.0, -2.0
         if far > spheres[index, 3]:
             sine = spheres[index, 3] / far
             cosine = math.sqrt(1.0 - sine * sine)
+            dx, dy, dz = dx / far, dy / far, dz / far
             within = False
             for root in range(count):
-                within = within or _sphere_may_meet(turned[root], dx / far, dy / far, dz / far, cosine, sine)
+                within = within or _sphere_may_meet(turned[root], dx, dy, dz, cosine, sine)
             if not within:
                 continue
+        else:
+            dx, dy, dz = 0.0, 0.0, 0.0
+        found[used, 0], found[used, 1], found[used, 2], found[used, 3], found[used, 4] = dx, dy, dz, cosine, sine
         chosen[used], distances[used], needed[used] = index, max(far - spheres[index, 3], 0.0), rows
         used += 1
     places = _sort_places(distances, used)
     order, nearest, starts = np.empty(used, np.int64), np.empty(used, np.float32), np.zeros(used + 1, np.int64)
+    aims = np.empty((used, 5))
     for at in range(used):
         place = places[at]
         order[at], nearest[at] = chosen[place], distances[place]
         starts[at + 1] = starts[at] + needed[place]
-    return order, nearest, starts
+        for part in range(5):
+            aims[at, part] = found[place, part]
+    return order, nearest, aims, starts
 
 
 @inner_numpy_njit
@@ -231,7 +240,7 @@ def build_tile_lists(
     rounds: Records,
     order: Int64,
     nearest: Float32,
-    spheres: Float64,
+    aims: Float64,
     starts: Int64,
     cones: Float64,
     levels: Int64,
@@ -254,7 +263,7 @@ def build_tile_lists(
         rounds: (R,) ROUND, flat.
         order: (N,) surface indices, nearest first.
         nearest: (N,) lower bounds of their distances.
-        spheres: bounding spheres of all surfaces.
+        aims: (N, 5) cones around the surfaces.
         starts: (N + 1,) first rows of the surfaces' coefficients.
         cones: cones of the lens.
         levels: levels of the lens.
@@ -282,13 +291,7 @@ def build_tile_lists(
     rows, filled = np.empty((starts[len(order)], 3), np.float32), np.zeros(len(order), np.uint8)
     for place in range(len(order)):
         index, distance = order[place], nearest[place]
-        dx, dy, dz = spheres[index, 0] - x, spheres[index, 1] - y, spheres[index, 2] - z
-        far = math.sqrt(dx * dx + dy * dy + dz * dz)
-        sine, cosine = 1.0, -2.0
-        if far > spheres[index, 3]:
-            sine = spheres[index, 3] / far
-            cosine = math.sqrt(1.0 - sine * sine)
-            dx, dy, dz = dx / far, dy / far, dz / far
+        dx, dy, dz, cosine, sine = aims[place, 0], aims[place, 1], aims[place, 2], aims[place, 3], aims[place, 4]
         # A list grows by at most one pair a tile.
         if used + tiles > len(pairs):
             longer = np.empty((2 * len(pairs) + tiles, 2), np.int32)

@@ -133,7 +133,7 @@ def rasterize_view(
     """
     rotation = np.ascontiguousarray(rotation, np.float64)
     x, y, z = (float(value) for value in origin)
-    order, nearest, starts = find_facing(
+    order, nearest, aims, starts = find_facing(
         scene.faces,
         scene.spheres,
         lens.cones,
@@ -146,12 +146,12 @@ def rasterize_view(
         ground,
     )
     begins, lists, rows, filled = build_tile_lists(
-        scene.faces, scene.corners, scene.rounds, order, nearest, scene.spheres, starts,
+        scene.faces, scene.corners, scene.rounds, order, nearest, aims, starts,
         lens.cones, lens.levels, lens.cells, lens.cell_tiles, lens.small, rotation, x, y, z,
     )  # fmt: skip
     surface, mixed, which, share, counts = compute_coverage(
         scene.faces, scene.corners, scene.rounds, lens.rays, rotation, x, y, z, offsets, lens.cones, begins, lists,
-        order, nearest, starts, rows, filled, mask,
+        order, nearest, aims, starts, rows, filled, mask,
     )  # fmt: skip
     counted = {
         "surfaces": len(scene.spheres), "facing": len(order), "near": len(lists), "tried": int(counts[1]),

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mirror.synth.render.scene import RenderedImage as RenderedImage
     from mirror.synth.render.scene import RollingImage as RollingImage
     from mirror.synth.render.scene import Scene as Scene
+    from mirror.synth.render.surfaces import SurfaceBuffer as SurfaceBuffer
     from mirror.synth.render.surroundings import Surroundings as Surroundings
     from mirror.synth.render.view import RasterizedView as RasterizedView
     from mirror.synth.render.view import rasterize_view as rasterize_view
@@ -69,6 +70,7 @@ __all__ = [
     "RoadUser",
     "RollingImage",
     "Scene",
+    "SurfaceBuffer",
     "Surroundings",
     "SynthDrive",
     "SynthReport",
@@ -114,6 +116,7 @@ __getattr__, __dir__ = lazy_names(
         "SKY": "mirror.synth.render.coverage",
         "Scene": "mirror.synth.render.scene",
         "Surroundings": "mirror.synth.render.surroundings",
+        "SurfaceBuffer": "mirror.synth.render.surfaces",
         "SynthDrive": "mirror.synth.fleet.drive",
         "SynthReport": "mirror.synth.writing",
         "Truth": "mirror.synth.truth",

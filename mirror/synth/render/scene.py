@@ -26,6 +26,7 @@ from mirror.synth.render.develop.motion import compute_image_motion
 from mirror.synth.render.lens import Lens
 from mirror.synth.render.lines import LineInstant, LinesView, render_lines
 from mirror.synth.render.shadows import ShadowMap, render_shadow_map, sun_axes
+from mirror.synth.render.surfaces import SurfaceBuffer
 from mirror.synth.render.surroundings import (
     AMBIENT_OCCLUSION_CELL_M,
     GLOW_CELL_M,
@@ -213,13 +214,19 @@ class Scene:
         """Compute the parts that all instants share."""
         _ = self._static
 
-    def at(self, time_s: float, world_SE3_ego: Poses) -> Instant:
-        """Return the world ``time_s`` after the start, around the recording vehicle at a pose."""
+    def at(self, time_s: float, world_SE3_ego: Poses, *, buffer: SurfaceBuffer | None = None) -> Instant:
+        """Return the world ``time_s`` after the start, around the recording vehicle at a pose.
+
+        Args:
+            time_s: seconds after the start.
+            world_SE3_ego: pose of the recording vehicle.
+            buffer: arrays for the surfaces, which those of the next instant in them overwrite; None: new arrays.
+        """
         ego, turn = world_SE3_ego.translation[0], matrix_from_quaternion(world_SE3_ego.rotation)[0]
         moving, placements = self._moving(time_s, ego)
         ego_model = self._place_ego(turn, ego)
         beam = np.concatenate([ego + arrays.matmul(turn, _HEADLIGHTS_M), arrays.matmul(turn, _AHEAD)])
-        return self._instant(time_s, merge_models([moving, ego_model]), moving, placements, ego, beam)
+        return self._instant(time_s, merge_models([moving, ego_model]), moving, placements, ego, beam, buffer)
 
     def _place_ego(self, turn: Float64, ego: Float64) -> Model:
         """Place the model of the recording vehicle in the world."""
@@ -369,8 +376,9 @@ class Scene:
         return instant.surroundings._replace(**self._join(there, time_s))
 
     def _instant(
-        self, time_s: float, there: Model, moving: Model, placements: dict[int, Placement], ego: Float64, beam: Float64
-    ) -> Instant:
+        self, time_s: float, there: Model, moving: Model, placements: dict[int, Placement], ego: Float64, beam: Float64,
+        buffer: SurfaceBuffer | None = None,
+    ) -> Instant:  # fmt: skip
         static, record = self._static, self.light.at(time_s)
         maps = static.maps.copy()
         shadow = ShadowMap.none()
@@ -386,7 +394,7 @@ class Scene:
              if record["headlight"] > 0.0 and not _is_static(self.road_users[number])],
             ego,
         )  # fmt: skip
-        joined = self._join(there, time_s)
+        joined = self._join(there, time_s, buffer)
         surroundings = Surroundings(
             joined["faces"], joined["corners"], joined["rounds"], joined["spheres"],
             static.shadow.height, shadow.height, static.lamps, glow, occlusion, static.ground,
@@ -395,20 +403,10 @@ class Scene:
         )  # fmt: skip
         return Instant(surroundings, placements)
 
-    def _join(self, there: Model, time_s: float) -> dict[str, Any]:
+    def _join(self, there: Model, time_s: float, buffer: SurfaceBuffer | None = None) -> dict[str, Any]:
         """Join what moves to the static model: faces, corners, rounds and spheres of `Surroundings`."""
-        static = self._static
-        model = merge_models([static.model, there])
-        faces = model.faces
-        faces["lights"][self.world.find_lit_lamps(self.clock_s + time_s)] = 1
-        # Ellipsoids come after all faces, so the spheres of both models are interleaved.
-        spheres = bounding_spheres(there.faces.view(flat(FACE)), there.corners, there.rounds.view(flat(ROUND)))
-        split, first = len(static.model.faces), len(there.faces)
-        spheres = np.concatenate([static.spheres[:split], spheres[:first], static.spheres[split:], spheres[first:]])
-        return {
-            "faces": faces.view(flat(FACE)), "corners": model.corners, "rounds": model.rounds.view(flat(ROUND)),
-            "spheres": spheres,
-        }  # fmt: skip
+        static, lit = self._static, self.world.find_lit_lamps(self.clock_s + time_s)
+        return (buffer or SurfaceBuffer()).join(static.model, static.spheres, there, lit)
 
 
 @dataclass(frozen=True, eq=False)

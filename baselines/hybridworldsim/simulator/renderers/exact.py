@@ -53,7 +53,7 @@ class ExactRenderer(Renderer):
         *,
         shows_ego: bool = True,
     ) -> None:
-        from mirror.synth import Model
+        from mirror.synth import Model, SurfaceBuffer
 
         if street.drive is None:
             raise UsageError(
@@ -68,11 +68,12 @@ class ExactRenderer(Renderer):
         drive = street.drive
         ego = drive.ego_model if shows_ego else Model.empty()
         self._scene = _empty_scene(drive, condition).with_road_users(self._live.users, ego, clock_s=street.clock_s)
+        self._surfaces = SurfaceBuffer()
         self._masks: dict[str, Int32] = {}
 
     def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
         self._live.update(snapshot)
-        instant = self._scene.at(snapshot.time_s, ego_pose(self._street, snapshot))
+        instant = self._scene.at(snapshot.time_s, ego_pose(self._street, snapshot), buffer=self._surfaces)
         images: dict[str, UInt8] = {}
         for number, view in enumerate(views):
             noise = np.random.SeedSequence([self._seed, number, snapshot.step]).generate_state(1, np.uint64)[0]

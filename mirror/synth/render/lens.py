@@ -23,6 +23,9 @@ _NO_CELLS: Final = (np.zeros(7, np.int64), np.zeros(0, np.int32), 0.0)
 _MOST_TILES: Final = 600
 """Images with more tiles have no cells: at their scale few surfaces are small beside a tile."""
 _MOST_CELLS: Final = 64
+_SMALL_TILES: Final = 3.0
+"""Surfaces up to so many times as large as a tile are looked up in the cells: they rarely hide a whole tile."""
+_MOST_SMALL: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +120,9 @@ def make_cells(tiles: Float64) -> tuple[Int64, Int32, float]:
     """
     if len(tiles) > _MOST_TILES or tiles[:, 3].min() < 0.5:
         return _NO_CELLS
-    small = float(tiles[:, 4].min())
-    side = min(int(2.0 / small) + 1, _MOST_CELLS)
+    least = float(tiles[:, 4].min())
+    small = min(_SMALL_TILES * least, _MOST_SMALL)
+    side = min(int(2.0 / least) + 1, _MOST_CELLS)
     edges = np.linspace(-1.0, 1.0, side + 1)
     middle = 0.5 * (edges[:-1] + edges[1:])
     across, down = np.meshgrid(middle, middle)

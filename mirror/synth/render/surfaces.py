@@ -59,7 +59,8 @@ class SurfaceBuffer:
         }  # fmt: skip
 
     def _copy(self, fixed: Model, spheres: Float64, sizes: tuple[int, int, int]) -> None:
-        room = sizes if self._fixed is not fixed else tuple(map(max, sizes, self._room))
+        held = self._room if self._fixed is fixed else (0, 0, 0)
+        room = max(sizes[0], held[0]), max(sizes[1], held[1]), max(sizes[2], held[2])
         self._fixed, self._room = fixed, room
         self._faces: Records = join_parts([fixed.faces, np.zeros(room[0], FACE)])
         self._corners = np.concatenate([fixed.corners, np.zeros((room[1], 3))])

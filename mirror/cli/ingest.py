@@ -16,6 +16,7 @@ import tyro
 from mirror.command_line import help_text, parse_arguments
 from mirror.counting import count_of
 from mirror.errors import ExitCode, MirrorError, UsageError
+from mirror.executors.arguments import ExecutorArguments
 
 if TYPE_CHECKING:
     from mirror.ingest.request import IngestReport
@@ -108,8 +109,13 @@ class Arguments:
     images: Literal["jpeg", "video", "shards"] = "jpeg"
     """How images are stored. jpeg: a file each, also frames of recorded videos. video: those as the recording's own
     compressed video. shards: side by side in tar archives of 64 MiB, frame by frame."""
-    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Number of threads."""
+    workers: Annotated[int | None, help_text(default="one a core, or as many as a cluster has room for")] = None
+    """Number of threads, or of workers of an executor."""
+    executor: tyro.conf.OmitArgPrefixes[ExecutorArguments] = field(default_factory=ExecutorArguments)
+    timeout_s: float = 3600.0
+    """Longest time that a worker of --executor processes or ray may take for one recording; it is tried three times."""
+    retry_failed: bool = False
+    """Also ingest the recordings that earlier runs could not ingest; the dataset keeps a list of them in failures/."""
     dry_run: bool = False
     """Evaluate the passes and print them. Nothing is written."""
     verify: bool = False
@@ -131,7 +137,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror ingest", examples=_EXAMPLES, renamed=RENAMED_THRESHOLDS)
     is_dataset = arguments.out is not None and (Path(arguments.out) / "dataset.json").is_file()
-    if not arguments.recordings and not (arguments.map and is_dataset):
+    if not arguments.recordings and not (is_dataset and (arguments.map or arguments.retry_failed)):
         raise UsageError("no recording given", expected="mirror ingest RECORDING... --rois FILE --out DATASET")
     if not 0.0 <= arguments.max_missing_images <= 1.0:
         raise UsageError(f"{arguments.max_missing_images}", place="--max-missing-images", expected="0 to 1")
@@ -148,6 +154,9 @@ def main(argv: Sequence[str]) -> int:
     from mirror.recordings.discovery import find_recordings
     from mirror.remedies import complete_remedy
 
+    choice = arguments.executor.choose("serial", arguments.workers)
+    if arguments.timeout_s <= 0.0:
+        raise UsageError(f"{arguments.timeout_s:g}", place="--timeout-s", expected="more than 0")
     search = find_recordings(arguments.recordings, arguments.reader)
     rois = read_rois(arguments.rois) if arguments.rois else []
     rois += [parse_roi(text) for text in arguments.roi]
@@ -164,7 +173,10 @@ def main(argv: Sequence[str]) -> int:
             videos="video" if arguments.images == "video" else "jpeg",
             shards=arguments.images == "shards",
         ),
-        workers=arguments.workers,
+        workers=arguments.workers or os.cpu_count() or 1,
+        executor=None if choice.kind == "serial" else choice,
+        timeout_s=arguments.timeout_s,
+        retry_failed=arguments.retry_failed,
         dry_run=arguments.dry_run,
         verify=arguments.verify,
         replace=arguments.replace,
@@ -191,7 +203,10 @@ def main(argv: Sequence[str]) -> int:
         print_failures(report.failures, search.passed_over)
     if not report.failures:
         return ExitCode.DONE
-    return ExitCode.PARTLY_DONE if report.drives or report.unchanged else ExitCode.COULD_NOT_RUN
+    if not arguments.json and not arguments.dry_run and (report.drives or report.unchanged):
+        print(f"{len(report.failures)} recordings failed: correct them and run it again with --retry-failed")
+    is_partly_done = report.drives or report.unchanged or (arguments.retry_failed and is_dataset)
+    return ExitCode.PARTLY_DONE if is_partly_done else ExitCode.COULD_NOT_RUN
 
 
 def stated_thresholds(thresholds: TriggerArguments | Cleaning) -> dict[str, object]:

@@ -108,7 +108,13 @@ def refuse_options_of_folders(options: IngestOptions, out: str) -> None:
     Raises:
         UsageError: an option does.
     """
-    given = {"--replace": options.replace, "--map": bool(options.maps), "--verify": options.verify}
+    given = {
+        "--replace": options.replace,
+        "--map": bool(options.maps),
+        "--verify": options.verify,
+        "--executor": options.executor is not None,
+        "--retry-failed": options.retry_failed,
+    }
     for name, is_given in given.items():
         if is_given:
             raise UsageError(

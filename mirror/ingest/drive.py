@@ -21,22 +21,22 @@ from mirror.schema.files import encode_table, read_json, read_table, write_bytes
 from mirror.schema.tables import IMAGES, PASSES
 
 
-def make_rig_document(drive: DrivePasses) -> Rig | None:
-    """Make ``rigs/<rig_id>.json`` of a drive; None for a drive with poses only."""
-    rig = drive.recording.rig
+def make_rig_document(recording: Recording) -> Rig | None:
+    """Make ``rigs/<rig_id>.json`` of a recording; None for one with poses only."""
+    rig = recording.rig
     if rig is None:
         return None
     cameras = tuple(
         RigCamera(
             name=camera.name,
             source_name=camera.source_name,
-            static_mask=_mask_file_name(rig.rig_id, camera.name) if camera.static_mask is not None else None,
+            static_mask=mask_file_name(rig.rig_id, camera.name) if camera.static_mask is not None else None,
         )
         for camera in rig.cameras
     )
     return Rig(
         rig_id=rig.rig_id,
-        vehicle_type=drive.info.vehicle_type,
+        vehicle_type=recording.info.vehicle_type,
         reference_camera=rig.reference_camera,
         cameras=cameras,
     )
@@ -58,33 +58,60 @@ def refuse_conflicting_rig(layout: Layout, drive: DrivePasses, seen: dict[str, R
     Raises:
         RecordingError: cameras, reference camera or vehicle type differ.
     """
-    document = make_rig_document(drive)
+    document = make_rig_document(drive.recording)
     if document is None:
         return
     path = layout.rig(document.rig_id)
     if document.rig_id not in seen:
         seen[document.rig_id] = read_json(path, Rig) if path.exists() else document
     if seen[document.rig_id] != document:
+        raise conflicting_rig_error(drive.path, document.rig_id)
+
+
+def conflicting_rig_error(path: Path, rig_id: str) -> RecordingError:
+    """Make the error for a recording whose rig has the id of another rig."""
+    return RecordingError(
+        f"rig {rig_id!r} is known with other cameras, another reference camera or vehicle type",
+        file=path,
+        expected=f"the rig of {rig_id}.json",
+        remedy="give the rig of this recording another id",
+    )
+
+
+def refuse_owned_id(path: Path, drive_id: str, owners: dict[str, Path]) -> None:
+    """Refuse a recording whose drive id another recording of the run has.
+
+    Args:
+        path: the recording.
+        drive_id: its drive id.
+        owners: recordings of the run by drive id; this one is added.
+
+    Raises:
+        RecordingError: another one has it.
+    """
+    if drive_id in owners:
         raise RecordingError(
-            f"rig {document.rig_id!r} is known with other cameras, another reference camera or vehicle type",
-            file=drive.path,
-            expected=f"the rig of {path.name}",
-            remedy="give the rig of this recording another id",
+            f"drive id {drive_id!r} is also that of {owners[drive_id]}",
+            file=path,
+            expected="one recording a drive id",
+            remedy="give one of them another id; ingest the files of one drive as one recording",
         )
+    owners[drive_id] = path
 
 
 def _write_rig(staging: Staging, drive: DrivePasses) -> None:
-    document, rig, layout = make_rig_document(drive), drive.recording.rig, staging.layout
+    document, rig, layout = make_rig_document(drive.recording), drive.recording.rig, staging.layout
     if document is None or rig is None or staging.dataset.rig(document.rig_id).exists():
         return
     for camera in rig.cameras:
         if camera.static_mask is not None:
             encoded = encode_mask(camera.static_mask)
-            write_bytes(layout.root / "rigs" / _mask_file_name(rig.rig_id, camera.name), encoded)
+            write_bytes(layout.root / "rigs" / mask_file_name(rig.rig_id, camera.name), encoded)
     write_json(layout.rig(document.rig_id), document)
 
 
-def _mask_file_name(rig_id: str, camera: str) -> str:
+def mask_file_name(rig_id: str, camera: str) -> str:
+    """Return the name of a camera's static mask in the folder of rigs."""
     return f"{rig_id}.{camera}.png"
 
 

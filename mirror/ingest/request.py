@@ -12,6 +12,8 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from mirror.errors import MirrorError, UsageError
+from mirror.executors.choice import ExecutorChoice
+from mirror.ingest.dead_letters import DeadLetter
 from mirror.ingest.maps import MapOutcome
 from mirror.ingest.traversal import WriteOptions, WriteReport
 from mirror.ingest.trigger import Pass
@@ -59,6 +61,9 @@ class IngestOptions:
         licence: licence of the data, for ``dataset.json`` of a new dataset.
         max_missing_images: share of a recording's images whose files may be missing.
         maps: recorded road maps of scenes: GeoParquet files, and folders of them.
+        executor: where drives are made; None: in this process, on `workers` threads.
+        timeout_s: longest time that a job of an executor may take for one recording.
+        retry_failed: also ingest the recordings that earlier runs could not ingest.
     """
 
     reader: str | None = None
@@ -76,6 +81,9 @@ class IngestOptions:
     licence: str | None = None
     max_missing_images: float = 0.0
     maps: tuple[Path, ...] = ()
+    executor: ExecutorChoice | None = None
+    timeout_s: float = 3600.0
+    retry_failed: bool = False
 
 
 @dataclass(frozen=True)
@@ -106,6 +114,7 @@ class IngestReport:
         unchanged: ids of drives that were there already, unchanged.
         traversals: written or found complete.
         failures: recordings that could not be ingested, each with its error.
+        dead_letters: the same, as rows that the dataset keeps for `mirror ingest --retry-failed`.
         images: images written.
         bytes: of those images.
         linked: those of them that are hard links.
@@ -117,8 +126,21 @@ class IngestReport:
     unchanged: list[str] = field(default_factory=list)
     traversals: list[WriteReport] = field(default_factory=list)
     failures: list[tuple[Path, MirrorError]] = field(default_factory=list)
+    dead_letters: list[DeadLetter] = field(default_factory=list)
     maps: dict[str, MapOutcome] = field(default_factory=dict)
     licence: str | None = None
+
+    def fail(self, path: Path, error: MirrorError, status: str = "failed", attempts: int = 1) -> None:
+        """Add a recording that could not be ingested.
+
+        Args:
+            path: the recording.
+            error: its error.
+            status: see `mirror.executors.job.Failure`.
+            attempts: number of attempts at it.
+        """
+        self.failures.append((path, error))
+        self.dead_letters.append(DeadLetter(str(path.absolute()), status, type(error).__name__, str(error), attempts))
 
     @property
     def common_licence(self) -> str | None:

@@ -31,9 +31,12 @@ from mirror.dataset.index import append_drives, build_index
 from mirror.dataset.layout import Layout
 from mirror.dataset.lock import adding, replacing, writer_lock
 from mirror.dataset.store import Store
-from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
+from mirror.errors import DatasetError, MirrorError, UsageError
+from mirror.executors.choice import ExecutorChoice
 from mirror.ingest.bucket import BucketStaging, commit_plan, fetch_plan, refuse_options_of_folders
-from mirror.ingest.drive import refuse_conflicting_rig, seal_drive, uncalibrated_cameras
+from mirror.ingest.dead_letters import list_dead_letters, read_dead_letters, write_dead_letters
+from mirror.ingest.drive import refuse_conflicting_rig, refuse_owned_id, seal_drive, uncalibrated_cameras
+from mirror.ingest.jobs import WorkersRun, remove_dead_folders
 from mirror.ingest.known_drives import KnownDrives
 from mirror.ingest.maps import add_maps, judge_maps, read_given_maps
 from mirror.ingest.passes import DrivePasses
@@ -86,7 +89,7 @@ def ingest_recordings(
 
     Returns:
         The drives, passes and traversals of this run. A recording that cannot be ingested is listed in ``failures``
-        with its error and adds nothing to the dataset.
+        with its error and adds nothing to the dataset but a row of ``failures/``, which ``retry_failed`` reads.
 
     Raises:
         UsageError: there is no ROI, a ROI or an option is invalid, a road map is of another scene, the folder holds
@@ -105,18 +108,39 @@ def ingest_recordings(
         print(len(report.traversals), "traversals,", len(report.failures), "recordings failed")
     """
     options, progress = options or IngestOptions(), progress or NullProgress()
+    if "://" in str(out):
+        return _ingest_into_bucket(recordings, rois, destination_at(out), _checked(options), progress)
+    out = Path(out)
+    retried = list_dead_letters(out) if options.retry_failed else []
+    again = [Path(one.recording) for one in read_dead_letters(retried)]
+    given = {path.absolute() for path in recordings}
+    recordings = [*recordings, *(path for path in again if path not in given)]
+    report = _ingest_into_folder(recordings, rois, out, _checked(options), progress)
+    if not options.dry_run and Layout(out).document.exists():
+        write_dead_letters(out, report.dead_letters, retried)
+    return report
+
+
+def _checked(options: IngestOptions) -> IngestOptions:
     if options.workers < 1:
         raise UsageError(f"{options.workers} workers", expected="at least one")
     if options.weather_plugin is not None:
         CLASSIFIERS.find(options.weather_plugin)
-    if "://" in str(out):
-        return _ingest_into_bucket(recordings, rois, destination_at(out), options, progress)
-    out = Path(out)
+    return options
+
+
+def _ingest_into_folder(
+    recordings: Sequence[Path], rois: Sequence[Roi], out: Path, options: IngestOptions, progress: ProgressReporter
+) -> IngestReport:
+    """Cut recordings into a dataset in a folder; see `ingest_recordings`."""
     layout = Layout(out)
     if options.dry_run:
         run = _Run(layout, options, progress, merge_settings(layout, options, rois))
         judge_maps(layout, read_given_maps(options.maps, run.settings.rois), replace=options.replace)
-        run.work(recordings)
+        if options.executor is None:
+            run.work(recordings)
+        else:
+            _work_by_jobs(run, recordings, options.executor)
         return run.report
     _refuse_recording_as_dataset(recordings, out)
     require_output_folder(out, FolderKind.DATASET)
@@ -126,7 +150,10 @@ def ingest_recordings(
         if _only_adds(layout, options, rois):
             refuse_links_out(layout.root)
             run = _Run(layout, options, progress, merge_settings(layout, options, rois))
-            _add(run, recordings)
+            if options.executor is None:
+                _add(run, recordings)
+            else:
+                _add_by_jobs(run, recordings, options.executor)
             return run.report
         with writer_lock(layout, wait=options.wait):
             try:
@@ -226,6 +253,18 @@ def _refuse_recording_as_dataset(recordings: Sequence[Path], out: Path) -> None:
 def _write(run: _Run, recordings: Sequence[Path]) -> None:
     maps = read_given_maps(run.options.maps, run.settings.rois)
     outcomes = judge_maps(run.layout, maps, replace=run.options.replace)
+    if run.options.executor is None:
+        _write_drives(run, recordings)
+    else:
+        _work_by_jobs(run, recordings, run.options.executor)
+    if maps and run.layout.document.exists():
+        # A scene that only a map was given for is a scene of the dataset too.
+        write_rois(run.layout.rois, run.settings.rois)
+        add_maps(run.layout, maps, outcomes)
+        run.report.maps.update(outcomes)
+
+
+def _write_drives(run: _Run, recordings: Sequence[Path]) -> None:
     staging = Staging(run.layout)
     done = False
     try:
@@ -241,11 +280,24 @@ def _write(run: _Run, recordings: Sequence[Path]) -> None:
         done = True
     finally:
         staging.close(done=done)
-    if maps and run.layout.document.exists():
-        # A scene that only a map was given for is a scene of the dataset too.
-        write_rois(run.layout.rois, run.settings.rois)
-        add_maps(run.layout, maps, outcomes)
-        run.report.maps.update(outcomes)
+
+
+def _work_by_jobs(run: _Run, recordings: Sequence[Path], choice: ExecutorChoice) -> list[str]:
+    """Let jobs make and commit the drives, and return the ids of those that this run committed."""
+    with choice.open() as executor:
+        jobs = WorkersRun(run.layout, executor, run.options, run.progress, run.settings, run.report)
+        try:
+            jobs.write(jobs.plan(recordings))
+        finally:
+            executor.close()
+            remove_dead_folders(run.layout)
+    return jobs.committed
+
+
+def _add_by_jobs(run: _Run, recordings: Sequence[Path], choice: ExecutorChoice) -> None:
+    committed = _work_by_jobs(run, recordings, choice)
+    with adding(run.layout):
+        append_drives(run.layout, committed, run.report.unchanged)
 
 
 @dataclass
@@ -324,7 +376,7 @@ class _Run:
         """A drive that can be written; None: it failed."""
         try:
             prepared = future.result()
-            self._own(path, prepared.drive_id)
+            refuse_owned_id(path, prepared.drive_id, self._owners)
             if prepared.drive is not None and staging is not None:
                 with reader_errors(path):
                     refuse_conflicting_rig(self.layout, prepared.drive, self._rigs)
@@ -335,16 +387,6 @@ class _Run:
             self.report.unchanged.append(prepared.drive_id)
         self.progress.expect(prepared.images)
         return prepared
-
-    def _own(self, path: Path, drive_id: str) -> None:
-        if drive_id in self._owners:
-            raise RecordingError(
-                f"drive id {drive_id!r} is also that of {self._owners[drive_id]}",
-                file=path,
-                expected="one recording a drive id",
-                remedy="give one of them another id; ingest the files of one drive as one recording",
-            )
-        self._owners[drive_id] = path
 
     def _begin(
         self, pool: ThreadPoolExecutor, drive: DrivePasses, replace: bool, staging: Staging, side_by_side: int
@@ -412,7 +454,7 @@ class _Run:
     def _fail(self, path: Path, error: MirrorError) -> None:
         if self.options.fail_fast or isinstance(error, _FATAL):
             raise error
-        self.report.failures.append((path, error))
+        self.report.fail(path, error)
 
 
 def _ahead(

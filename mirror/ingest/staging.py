@@ -21,7 +21,7 @@ from mirror.dataset.unfinished_work import drop_work
 from mirror.schema.files import unmovable_error
 
 FOLDER: Final = ".staging"
-_RUN: Final = "run"
+RUN: Final = "run"
 _TRAVERSAL: Final = "traversal:"
 
 
@@ -30,6 +30,8 @@ class Staging:
 
     Args:
         dataset: that they will be part of.
+        name: first part of the folder's name. A run takes over what dead runs left; under another name nothing is
+            taken over.
 
     Attributes:
         dataset: it.
@@ -39,11 +41,13 @@ class Staging:
         DatasetError: the dataset's folder cannot be written.
     """
 
-    def __init__(self, dataset: Layout) -> None:
+    def __init__(self, dataset: Layout, name: str = RUN) -> None:
         self.dataset = dataset
-        self.own_folder = OwnedFolder(dataset.root / FOLDER, _RUN)
+        self.own_folder = OwnedFolder(dataset.root / FOLDER, name)
         self.layout = Layout(self.own_folder.path)
-        for left in abandoned_folders(dataset.root / FOLDER, _RUN):
+        if name != RUN:
+            return
+        for left in abandoned_folders(dataset.root / FOLDER, RUN):
             if left != self.own_folder.path:
                 self._take_over(left)
 

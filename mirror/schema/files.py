@@ -121,8 +121,13 @@ def unmovable_error(folder: Path, error: OSError) -> DatasetError:
 
 def write_json(path: Path, document: BaseModel | dict[str, object]) -> None:
     """Write a JSON document atomically, with the keys in the order of the model."""
+    write_bytes(path, encode_json(document))
+
+
+def encode_json(document: BaseModel | dict[str, object]) -> bytes:
+    """Encode a JSON document, with the keys in the order of the model."""
     plain = document.model_dump(mode="json") if isinstance(document, BaseModel) else document
-    write_bytes(path, (json.dumps(plain, indent=1, ensure_ascii=False) + "\n").encode())
+    return (json.dumps(plain, indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def read_json(path: Path, model: type[Model]) -> Model:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from mirror.annotation.protocol import Annotator, InstalledAnnotator
@@ -46,3 +47,22 @@ def open_annotator(
     annotator = installed.open(dataset, settings, device)
     ANNOTATORS.require_parts(annotator, name, Annotator)
     return annotator
+
+
+@dataclass(frozen=True)
+class AnnotatorChoice:
+    """An annotator that a worker can open.
+
+    Attributes:
+        name: name of an entry point, or ``FILE.py:OBJECT``.
+        settings: values of its settings, as text.
+        device: a torch device.
+    """
+
+    name: str
+    settings: Mapping[str, str]
+    device: str
+
+    def open(self, dataset: Dataset) -> Annotator:
+        """Open the annotator; see `open_annotator`."""
+        return open_annotator(self.name, installed_annotator(self.name), dataset, self.settings, self.device)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,20 @@ import pyarrow as pa
 from mirror.annotation.detections import Detections
 from mirror.annotation.familiarity import NAME, TrainingData
 from mirror.annotation.protocol import Annotator
+from mirror.annotation.registry import AnnotatorChoice
+from mirror.dataset import open as open_dataset
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.derived_layer import DerivedLayer, find_missing
 from mirror.dataset.frames import Frame
 from mirror.dataset.layer_writer import require_layer_name
+from mirror.dataset.layers import LayerChoice
+from mirror.dataset.layout import Layout
 from mirror.dataset.unfinished_work import ANNOTATION, remove_work, work_folder
 from mirror.dataset.writing import writing_layers
-from mirror.errors import MirrorError
+from mirror.errors import DatasetError, MirrorError
+from mirror.executors.choice import ExecutorChoice
+from mirror.executors.job import Failure, ParallelJob
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.finished_work import FinishedWork
 from mirror.schema.tables import BOXES
@@ -70,6 +76,7 @@ class AnnotationReport:
         failed: frames without a result.
         trained_on: what the annotator was trained on; None: it does not state it.
         unfamiliar: frames of the layers written whose images do not look like those that it was trained on.
+        broken: why workers ended without a result, by traversal.
     """
 
     layer: str
@@ -82,6 +89,23 @@ class AnnotationReport:
     failed: list[FailedFrame] = field(default_factory=list)
     trained_on: str | None = None
     unfamiliar: int = 0
+    broken: dict[str, str] = field(default_factory=dict)
+
+    def add(self, one: AnnotationReport) -> None:
+        """Add the results of another traversal."""
+        for name in ("written", "incomplete", "failed"):
+            getattr(self, name).extend(getattr(one, name))
+        for name in ("frames", "resumed", "boxes", "unfamiliar"):
+            setattr(self, name, getattr(self, name) + getattr(one, name))
+
+
+@dataclass(frozen=True)
+class _LayerTask:
+    """The making of one traversal's layer, but for the annotator."""
+
+    layer: DerivedLayer
+    work: Path
+    skip_failed: bool
 
 
 def annotate(
@@ -92,6 +116,8 @@ def annotate(
     version: str | None = None,
     skip_failed: bool = False,
     progress: ProgressReporter | None = None,
+    executor: ExecutorChoice | None = None,
+    choice: AnnotatorChoice | None = None,
 ) -> AnnotationReport:
     """Annotate all frames of a view, and write one layer of boxes for each traversal.
 
@@ -105,6 +131,8 @@ def annotate(
         version: version of the source; None: the annotator's.
         skip_failed: write a layer also where frames failed; they have no boxes then.
         progress: receives the number of frames.
+        executor: where traversals are annotated, one a worker at a time; None: in this process.
+        choice: opens the annotator in a worker; it is needed with `executor`.
 
     Raises:
         UsageError: the dataset is not local, or the source or version cannot name a layer.
@@ -127,30 +155,97 @@ def annotate(
         }
         pending, report.kept = find_missing(layers.values())
         progress.start("frames", sum(len(dataset.where(traversal=name).frames()) for name in pending))
-        for traversal_id in pending:
-            view = dataset.where(traversal=traversal_id)
-            writer = layers[traversal_id].open()
-            file = work / f"{traversal_id}.jsonl"
-            found = _annotate_traversal(view, annotator, file, hashes, report, progress)
-            if len(found) < len(view.frames()) and not skip_failed:
-                report.incomplete.append(traversal_id)
-                continue
-            table = box_table({stamp: one.boxes for stamp, one in found.items()})
-            if report.trained_on is not None:
-                unfamiliar = tuple(sorted(stamp for stamp, one in found.items() if one.unfamiliar))
-                data = TrainingData(trained_on=report.trained_on, frames=len(found), unfamiliar_ns=unfamiliar)
-                writer.document(NAME, data.encode())
-                report.unfamiliar += len(unfamiliar)
-            writer.finish(BOXES, table)
-            report.written.append(traversal_id)
-            report.boxes += table.num_rows
-            file.unlink(missing_ok=True)
-        if not report.failed:
+        tasks = [_LayerTask(layers[name], work, skip_failed) for name in pending]
+        if executor is None or choice is None:
+            for task in tasks:
+                report.add(_annotate_traversal(dataset, annotator, task, hashes, progress))
+        else:
+            _annotate_on_workers(dataset, annotator.fingerprint, choice, tasks, executor, report, progress)
+        if not report.failed and not report.broken:
             remove_work(work)
     return report
 
 
 def _annotate_traversal(
+    dataset: Dataset, annotator: Annotator, task: _LayerTask, hashes: ContentHashes, progress: ProgressReporter
+) -> AnnotationReport:
+    """Annotate one traversal, and write its layer unless frames failed."""
+    traversal_id, source, version = task.layer.traversal_id, task.layer.source, task.layer.version
+    report = AnnotationReport(f"{source}@{version}", trained_on=getattr(annotator, "trained_on", None))
+    view = dataset.where(traversal=traversal_id)
+    writer = task.layer.open()
+    file = task.work / f"{traversal_id}.jsonl"
+    found = _annotate_frames(view, annotator, file, hashes, report, progress)
+    if len(found) < len(view.frames()) and not task.skip_failed:
+        report.incomplete.append(traversal_id)
+        return report
+    table = box_table({stamp: one.boxes for stamp, one in found.items()})
+    if report.trained_on is not None:
+        unfamiliar = tuple(sorted(stamp for stamp, one in found.items() if one.unfamiliar))
+        data = TrainingData(trained_on=report.trained_on, frames=len(found), unfamiliar_ns=unfamiliar)
+        writer.document(NAME, data.encode())
+        report.unfamiliar += len(unfamiliar)
+    writer.finish(BOXES, table)
+    report.written.append(traversal_id)
+    report.boxes += table.num_rows
+    file.unlink(missing_ok=True)
+    return report
+
+
+@dataclass(frozen=True)
+class _AnnotatorSettings:
+    """What a worker opens once: the dataset and the annotator."""
+
+    root: str
+    layers: LayerChoice
+    traversals: tuple[str, ...]
+    choice: AnnotatorChoice
+    fingerprint: str
+
+
+def _annotate_on_workers(
+    dataset: Dataset,
+    fingerprint: str,
+    choice: AnnotatorChoice,
+    tasks: Sequence[_LayerTask],
+    executor: ExecutorChoice,
+    report: AnnotationReport,
+    progress: ProgressReporter,
+) -> None:
+    root = str(Path(dataset.root).absolute())
+    settings = _AnnotatorSettings(root, dataset.layers, tuple(dataset.traversals()), choice, fingerprint)
+    placed = [
+        replace(task, layer=replace(task.layer, layout=Layout(Path(root))), work=task.work.absolute()) for task in tasks
+    ]
+    with executor.open() as workers:
+        for number, answer in workers.map(ParallelJob(_make_annotation, (settings,)), placed):
+            name = tasks[number].layer.traversal_id
+            if not isinstance(answer, Failure):
+                report.add(answer)
+            elif isinstance(answer.error, MirrorError):
+                raise answer.error
+            else:
+                report.broken[name] = f"{answer.problem} ({answer.attempts} attempts)"
+                report.incomplete.append(name)
+            progress.advance(len(dataset.where(traversal=name).frames()))
+    for name in ("written", "incomplete"):
+        getattr(report, name).sort()
+    report.failed.sort(key=lambda one: (one.traversal_id, one.frame_index))
+
+
+def _make_annotation(settings: _AnnotatorSettings) -> Callable[[_LayerTask], AnnotationReport]:
+    dataset = open_dataset(settings.root).with_layers(**asdict(settings.layers))
+    dataset = dataset.where(traversal=list(settings.traversals))
+    annotator, hashes = settings.choice.open(dataset), ContentHashes(dataset.store)
+    if annotator.fingerprint != settings.fingerprint:
+        raise DatasetError(
+            f"annotator {settings.choice.name} is another one on a node", place="--executor",
+            expected="the same weights, settings and files wherever it runs", remedy="bring the node up to date",
+        )  # fmt: skip
+    return lambda task: _annotate_traversal(dataset, annotator, task, hashes, NullProgress())
+
+
+def _annotate_frames(
     view: Dataset,
     annotator: Annotator,
     file: Path,

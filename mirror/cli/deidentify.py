@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,6 +12,7 @@ import tyro
 
 from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode
+from mirror.executors.arguments import ExecutorArguments
 
 if TYPE_CHECKING:
     from mirror.privacy.options import DeidentifyOptions
@@ -76,6 +77,7 @@ class Arguments:
     """Complete traversals without the images that failed. A release leaves these out."""
     workers: Annotated[int | None, help_text(default="one a core")] = None
     """Number of processes."""
+    executor: tyro.conf.OmitArgPrefixes[ExecutorArguments] = field(default_factory=ExecutorArguments)
     timeout_s: float = 120.0
     """Longest time that the detectors may take for one image."""
     wait: bool = False
@@ -126,6 +128,7 @@ def _options(arguments: Arguments) -> DeidentifyOptions:
             strips=StripOptions(arguments.least_plate_px, arguments.box_error_m),
         ),
         workers=arguments.workers or usable_cores(),
+        executor=arguments.executor.choose("processes", arguments.workers),
         timeout_s=arguments.timeout_s,
         withhold_failed=arguments.withhold_failed,
     )
@@ -151,6 +154,7 @@ def _plain(report: DeidentifyReport, dataset: Path) -> dict[str, object]:
         "regions": dict(sorted(report.regions.items())),
         "skipped": dict(sorted(report.skipped.items())),
         "failures": [vars(one) for one in report.failures],
+        "broken": report.broken,
     }
 
 
@@ -164,6 +168,8 @@ def _print(report: DeidentifyReport, dataset: Path) -> None:
         print(f"{one.status}: {one.traversal_id}, camera {one.camera}, {one.timestamp_ns}: {one.problem}")
     if len(report.failures) > _LISTED_FAILURES:
         print(f"... and {len(report.failures) - _LISTED_FAILURES} more images; --json lists all")
+    for name, reason in report.broken.items():
+        print(f"{name}: {reason}")
     if report.unfinished:
         print(
             f"{len(report.unfinished)} traversals are not complete: correct what failed and run the same command again,"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +14,7 @@ from mirror.command_line import help_text, parse_arguments, parse_settings
 from mirror.counting import count_of
 from mirror.devices import AUTO, choose_device
 from mirror.errors import ExitCode, UsageError
+from mirror.executors.arguments import ExecutorArguments
 from mirror.plugins import is_file_reference
 
 if TYPE_CHECKING:
@@ -87,6 +88,9 @@ class Arguments:
     """Devices of one kind that train blocks at the same time, one process each: numbers of GPUs, or names."""
     fp16: bool = False
     """Write the model in half precision (16-bit floats)."""
+    executor: tyro.conf.OmitArgPrefixes[ExecutorArguments] = field(default_factory=ExecutorArguments)
+    workers: Annotated[int | None, help_text(default="one a core, or as many as a cluster has room for")] = None
+    """Number of blocks that --executor processes or ray trains at a time. A worker takes one block after another."""
     json: bool = False
     """Print JSON."""
 
@@ -116,6 +120,19 @@ def main(argv: Sequence[str]) -> int:
     require_output_folder(arguments.out, FolderKind.MODEL)
     method = load_method(arguments.method)
     capabilities = find_capabilities(method)
+    executor = None
+    if arguments.executor != ExecutorArguments():
+        if not capabilities.distributes_blocks:
+            raise UsageError(
+                f"method {method_label(arguments.method)} trains in one process", place="--executor",
+                expected="a method with the capability distributes_blocks", remedy="leave --executor out",
+            )  # fmt: skip
+        if arguments.devices is not None:
+            raise UsageError("--devices and --executor exclude each other", expected="one of them, or neither")
+        chosen = arguments.executor.choose("serial", arguments.workers)
+        executor = None if chosen.kind == "serial" else chosen
+    elif arguments.workers is not None:
+        raise UsageError("--workers without --executor", place="--workers", expected="--executor processes or ray")
     label, asked = f"method {method_label(arguments.method)}", _named_devices(arguments)
     devices = [
         choose_device(name, label, takes_device=capabilities.takes_device, splats=capabilities.rasterizes)
@@ -167,6 +184,7 @@ def main(argv: Sequence[str]) -> int:
         settings=parse_settings(arguments.set),
         device=device.name,
         devices=tuple(one.name for one in devices) if len(devices) > 1 else (),
+        executor=executor,
         withheld=list_scored_training_images(dataset, scaled, arguments.split, scene)
         if arguments.hold_out
         else frozenset(),

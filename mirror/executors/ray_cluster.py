@@ -14,6 +14,7 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
@@ -98,7 +99,7 @@ class _Actor(Worker[Any]):
         return self._actor is not None
 
     def launch(self) -> None:
-        self._actor = self._ray.remote(RayWorker).options(**self._options).remote(self._sent)
+        self._actor = self._ray.remote(RayWorker).options(**self._options).remote(self._sent, str(Path.cwd()))
         self.connection = self._actor.version.remote()
 
     def send(self, item: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from typing import Any
 
 from mirror.executors.job import Failure, JobFunction, ParallelJob
@@ -15,9 +16,12 @@ class RayWorker:
 
     Args:
         job: the work.
+        current: current folder of the driver, from which options name files. A node need not have it.
     """
 
-    def __init__(self, job: ParallelJob[Any, Any]) -> None:
+    def __init__(self, job: ParallelJob[Any, Any], current: str) -> None:
+        with suppress(OSError):
+            os.chdir(current)
         os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
         self._function = JobFunction(job)
 

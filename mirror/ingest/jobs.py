@@ -7,7 +7,6 @@ numbers. Of two attempts at a drive, however late one of them wakes up, both com
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -90,13 +89,11 @@ class DriveSettings:
     """The settings that all jobs of a run are given.
 
     Attributes:
-        current: the current folder, from which options name files.
         root: folder of the dataset.
         options: of the run.
         settings: of the run.
     """
 
-    current: Path
     root: Path
     options: IngestOptions
     settings: IngestSettings
@@ -137,7 +134,7 @@ class WorkersRun:
         self.layout, self.settings, self.report = layout, settings, report
         self.committed: list[str] = []
         self._executor, self._options, self._progress = executor, options, progress
-        sent = DriveSettings(Path.cwd(), layout.root.absolute(), options, settings)
+        sent = DriveSettings(layout.root.absolute(), options, settings)
         # One job has both steps, so that its workers are started once.
         self._job: ParallelJob[tuple[_Step[Any], Path], Any] = ParallelJob(
             _make_steps, (sent,), timeout_s=options.timeout_s
@@ -264,9 +261,6 @@ class _DriveMaker(NamedTuple):
 
 
 def _make_steps(sent: DriveSettings) -> Callable[[tuple[_Step[Any], Path]], Any]:
-    with suppress(FileNotFoundError):
-        # A worker of a cluster has another one; where this one is not there, options name no file in it.
-        os.chdir(sent.current)
     maker = _DriveMaker(sent, sent.settings.trigger(), KnownDrives.read(Store(sent.root)))
 
     def do(item: tuple[_Step[Any], Path]) -> Any:

@@ -31,6 +31,7 @@ class Capabilities:
             and `open_interactive` take the argument `device` (`mirror.methods.method_devices.DeviceMethod`). Other
             methods compute where they choose, and `--device` refuses a GPU for them.
         rasterizes: on a GPU it needs gsplat.
+        distributes_blocks: `reconstruct` reads `ReconstructionTask.executor`. Others refuse `--executor`.
     """
 
     renders_depth: bool = False
@@ -41,6 +42,7 @@ class Capabilities:
     exports_ply: bool = False
     takes_device: bool = False
     rasterizes: bool = False
+    distributes_blocks: bool = False
 
     @property
     def names(self) -> frozenset[str]:

@@ -10,6 +10,7 @@ from typing import Protocol
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.devices import CPU
+from mirror.executors.choice import ExecutorChoice
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.capabilities import Capabilities
 from mirror.methods.training_images import ImageKey
@@ -40,6 +41,7 @@ class ReconstructionTask:
         settings: settings of the method that replace its defaults, by name, as text.
         device: where a method with the capability `takes_device` computes, as torch names it.
         devices: devices of one kind on which blocks are trained at the same time; empty: `device` only.
+        executor: where a method with the capability `distributes_blocks` trains blocks; None: as `devices` says.
     """
 
     scene: str
@@ -56,6 +58,7 @@ class ReconstructionTask:
     settings: Mapping[str, str] = field(default_factory=dict)
     device: str = CPU
     devices: tuple[str, ...] = ()
+    executor: ExecutorChoice | None = None
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
+from mirror.executors.choice import ExecutorChoice
 from mirror.privacy.detectors.registry import DEFAULT, DetectorChoice
 from mirror.privacy.log import DetectorRecord
 from mirror.privacy.operators import Redaction
@@ -62,6 +63,8 @@ class DeidentifyOptions:
         timeout_s: longest time that the detectors may take for one image.
         withhold_failed: complete traversals without the images that failed; their rows stay raw, and a release leaves
             them out.
+        executor: where detectors search; None: in processes of this machine, side by side in one traversal. On a
+            cluster each worker takes a traversal at a time, and searches it in one process beside it.
     """
 
     detectors: Sequence[DetectorChoice] = tuple(DetectorChoice(name) for name in DEFAULT)
@@ -73,6 +76,7 @@ class DeidentifyOptions:
     workers: int = 1
     timeout_s: float = 120.0
     withhold_failed: bool = False
+    executor: ExecutorChoice | None = None
 
 
 def detection_hash(detectors: Sequence[DetectorRecord], options: DeidentifyOptions) -> str:

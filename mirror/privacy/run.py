@@ -7,7 +7,7 @@ propagated, and a layer of redacted images and one of masks is written. So a lay
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -23,15 +23,16 @@ from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.unfinished_work import DEIDENTIFICATION, remove_work, work_folder
 from mirror.dataset.writing import writing_layers
-from mirror.errors import ExitCode
-from mirror.executors.job import Failure
+from mirror.errors import ExitCode, MirrorError
+from mirror.executors.executor import SerialExecutor
+from mirror.executors.job import Failure, ParallelJob
+from mirror.executors.processes import ProcessesExecutor
 from mirror.privacy.detection import (
     DetectionLog,
     DetectionPool,
     DetectionTask,
     ImageKey,
     detect_images,
-    detection_pool,
     used_masks,
 )
 from mirror.privacy.detectors.registry import describe, require_coverage
@@ -80,6 +81,7 @@ class DeidentifyReport:
         redacted: number of images with regions.
         skipped: number of tiles and images that were not searched, by the rule.
         failures: images without a result.
+        broken: why workers ended without a result, by traversal.
     """
 
     version: str
@@ -91,10 +93,21 @@ class DeidentifyReport:
     regions: Counter[str] = field(default_factory=Counter)
     skipped: Counter[str] = field(default_factory=Counter)
     failures: list[ImageFailure] = field(default_factory=list)
+    broken: dict[str, str] = field(default_factory=dict)
+
+    def add(self, one: DeidentifyReport) -> None:
+        """Add the results of another traversal."""
+        self.written += one.written
+        self.unfinished += one.unfinished
+        self.failures += one.failures
+        self.images += one.images
+        self.redacted += one.redacted
+        self.regions += one.regions
+        self.skipped += one.skipped
 
     def exit_code(self) -> ExitCode:
         """Return the exit code of `mirror deidentify`."""
-        if not self.failures:
+        if not self.failures and not self.broken:
             return ExitCode.DONE
         return ExitCode.PARTLY_DONE
 
@@ -148,14 +161,72 @@ def deidentify(
         )
         bar.start("images searched", sum(counts[name] for name in todo))
         folder = work_folder(layout, DEIDENTIFICATION, options.version, detection_hash(records, options))
-        with detection_pool(
-            layout.root, options.detectors, workers=options.workers, timeout_s=options.timeout_s
-        ) as pool:
-            for name in todo:
-                _traversal(layout, dataset, name, options, configuration, pool, folder, report, bar)
+        if options.executor is not None and options.executor.kind == "ray":
+            _on_cluster(layout, todo, options, configuration, folder, report, bar)
+        else:
+            is_serial = options.executor is not None and options.executor.kind == "serial"
+            executor = SerialExecutor() if is_serial else ProcessesExecutor(options.workers)
+            with DetectionPool(layout.root, options.detectors, executor, options.timeout_s) as pool:
+                for name in todo:
+                    _traversal(layout, dataset, name, options, configuration, pool, folder, report, bar)
         if not report.unfinished:
             remove_work(folder)
     return report
+
+
+@dataclass(frozen=True)
+class _TraversalSettings:
+    """What a worker of a cluster is given for all traversals."""
+
+    layout: Layout
+    options: DeidentifyOptions
+    configuration: Configuration
+    folder: Path
+
+
+def _on_cluster(
+    layout: Layout,
+    todo: Sequence[str],
+    options: DeidentifyOptions,
+    configuration: Configuration,
+    folder: Path,
+    report: DeidentifyReport,
+    bar: ProgressReporter,
+) -> None:
+    """De-identify traversals on the workers of a cluster, a traversal at a time."""
+    if options.executor is None:
+        return
+    inner = replace(options, workers=1, executor=None)
+    settings = _TraversalSettings(Layout(layout.root.absolute()), inner, configuration, folder.absolute())
+    with options.executor.open() as workers:
+        for number, answer in workers.map(ParallelJob(_make_deidentification, (settings,)), todo):
+            if not isinstance(answer, Failure):
+                report.add(answer)
+                bar.advance(answer.images)
+            elif isinstance(answer.error, MirrorError):
+                raise answer.error
+            else:
+                report.broken[todo[number]] = f"{answer.problem} ({answer.attempts} attempts)"
+                report.unfinished.append(todo[number])
+    for names in (report.written, report.unfinished):
+        names.sort()
+    report.failures.sort(key=lambda one: (one.traversal_id, one.camera, one.timestamp_ns))
+
+
+def _make_deidentification(settings: _TraversalSettings) -> Callable[[str], DeidentifyReport]:
+    layout, options = settings.layout, settings.options
+    dataset = open_dataset(str(layout.root))
+    # A detector may end its process: it fails on one image then, not on a traversal.
+    pool = DetectionPool(layout.root, options.detectors, ProcessesExecutor(1), options.timeout_s)
+
+    def deidentify_one(name: str) -> DeidentifyReport:
+        report = DeidentifyReport(options.version)
+        _traversal(
+            layout, dataset, name, options, settings.configuration, pool, settings.folder, report, NullProgress()
+        )
+        return report
+
+    return deidentify_one
 
 
 def _traversal(

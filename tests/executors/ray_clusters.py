@@ -21,6 +21,8 @@ def cluster_environment(home: Path) -> dict[str, str]:
         "RAY_AUTH_TOKEN": secrets.token_hex(32),
         "RAY_USAGE_STATS_ENABLED": "0",
         "RAY_memory_monitor_refresh_ms": "0",
+        # Otherwise 15: on a busy machine a test would wait for minutes.
+        "RAY_worker_niceness": "0",
         "PYTHONPATH": str(Path(__file__).parents[2]),
     }
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.dataset import open as open_dataset
 from mirror.dataset.layers import LayerChoice
+from mirror.executors.choice import ExecutorChoice
 from mirror.executors.job import Failure, ParallelJob
-from mirror.executors.processes import ProcessesExecutor
 from mirror.methods.plugin import InstalledMethod, ReconstructionTask
 from mirror.progress import NullProgress, ProgressReporter
 
@@ -55,37 +55,47 @@ def train_shares(
     images: Mapping[str, int],
     reporter: ProgressReporter,
 ) -> None:
-    """Train blocks on the devices of a task at the same time; each ends as it does alone.
+    """Train blocks on the devices of a task, or on the workers of its executor; each ends as it does alone.
 
     Args:
         method: the method, which can be pickled.
         dataset: the dataset; layers that the method estimates are complete.
-        task: the task, with `devices` and a number of threads.
+        task: the task, with `devices` or an `executor`, and a number of threads.
         out: folder of the model, with its document.
         images: number of images of each block to train, by its name.
-        reporter: receives a message for each device that is done.
+        reporter: receives a message for each device, or block, that is done.
 
     Raises:
         DatasetError: a training failed or its process died; finished blocks and checkpoints stay.
     """
-    shares = divide_blocks(images, task.devices)
-    reporter.message("; ".join(f"{device}: {', '.join(sorted(blocks))}" for device, blocks in shares))
+    if task.executor is None:
+        shares = divide_blocks(images, task.devices)
+        executor = ExecutorChoice("processes", len(shares))
+    else:
+        # A worker that is free takes the next block, the largest first.
+        names = sorted(images, key=lambda one: (-images[one], one))
+        shares, executor = [(task.device, frozenset({name})) for name in names], task.executor
+    described = [f"{device}: {', '.join(sorted(blocks))}" for device, blocks in shares]
+    reporter.message("; ".join(described))
     jobs = [_make_share(method, dataset, task, out, device, blocks) for device, blocks in shares]
-    with ProcessesExecutor(len(jobs)) as executor:
-        for number, answer in executor.map(ParallelJob(_make_training, attempts=1), jobs):
+    with executor.open() as workers:
+        for number, answer in workers.map(ParallelJob(_make_training), jobs):
             if isinstance(answer, Failure):
                 answer.raise_error(
                     place=str(out),
-                    remedy="run the same command again: it continues. If memory ran out, fewer --devices need less",
+                    remedy="run the same command again: it continues. If memory ran out, train fewer blocks at a time",
                 )
-            reporter.message(f"{jobs[number].task.device}: done")
+            reporter.message(f"{described[number] if task.executor else jobs[number].task.device}: done")
 
 
 def _make_share(
     method: InstalledMethod, dataset: Dataset, task: ReconstructionTask, out: Path, device: str, blocks: frozenset[str]
 ) -> DeviceShare:
-    own = replace(task, device=device, devices=(), blocks=blocks)
-    return DeviceShare(method, str(dataset.root), dataset.layers, own, out)
+    own = replace(task, device=device, devices=(), executor=None, blocks=blocks)
+    root = str(dataset.root)
+    if "://" not in root:
+        root = str(Path(root).absolute())
+    return DeviceShare(method, root, dataset.layers, own, out.absolute())
 
 
 def _make_training() -> Callable[[DeviceShare], None]:

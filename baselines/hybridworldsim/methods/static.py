@@ -109,7 +109,8 @@ class StaticMethod:
             for block, views in scene.blocks
             if block.name in scene.selected and RunFolder(out / block.name, TrainingOutcome).outcome is None
         }
-        if len(task.devices) > 1 and len(untrained) > 1 and read_reconstruction(out).done is None:
+        is_shared = len(untrained) > 0 if task.executor else len(task.devices) > 1 and len(untrained) > 1
+        if is_shared and read_reconstruction(out).done is None:
             # The number of threads is part of a run.
             apart = replace(task, threads=torch.get_num_threads())
             train_shares(self, dataset, apart, out, untrained, reporter)

@@ -50,6 +50,7 @@ ALL: Final = Capabilities(
     exports_ply=True,
     takes_device=True,
     rasterizes=True,
+    distributes_blocks=True,
 )
 
 

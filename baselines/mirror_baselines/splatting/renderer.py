@@ -51,7 +51,9 @@ class SplattingRenderer:
         settings: its settings.
     """
 
-    CAPABILITIES: Final = Capabilities(renders_depth=True, renders_covers=True, takes_device=True, rasterizes=True)
+    CAPABILITIES: Final = Capabilities(
+        renders_depth=True, renders_covers=True, takes_device=True, rasterizes=True, distributes_blocks=True
+    )
 
     def __init__(self, model: Gaussians, settings: Splatting) -> None:
         self.model, self.settings = model, settings

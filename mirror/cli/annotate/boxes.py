@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -13,6 +13,7 @@ import tyro
 from mirror.command_line import help_text, parse_arguments, parse_settings
 from mirror.devices import choose_device
 from mirror.errors import ExitCode
+from mirror.executors.arguments import ExecutorArguments
 
 if TYPE_CHECKING:
     from mirror.annotation.run import AnnotationReport
@@ -51,6 +52,9 @@ class Arguments:
     """Write the layer of a traversal although frames failed; they have no boxes then."""
     device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
     """Device that runs networks. auto: a GPU that torch can use, else the CPU. The first line says which."""
+    executor: tyro.conf.OmitArgPrefixes[ExecutorArguments] = field(default_factory=ExecutorArguments)
+    workers: Annotated[int | None, help_text(default="one a core, or as many as a cluster has room for")] = None
+    """Number of workers of --executor processes or ray; each has the annotator, and takes a traversal at a time."""
     json: bool = False
     """Print JSON."""
 
@@ -60,8 +64,9 @@ def run(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Arguments, argv, "mirror annotate", examples=_EXAMPLES)
 
     from mirror.annotation.protocol import TrainableAnnotator, takes_device
-    from mirror.annotation.registry import installed_annotator, open_annotator
+    from mirror.annotation.registry import AnnotatorChoice, installed_annotator, open_annotator
 
+    executor = arguments.executor.choose("serial", arguments.workers)
     installed = installed_annotator(arguments.annotator)
     device = choose_device(arguments.device, f"annotator {arguments.annotator}", takes_device=takes_device(installed))
     if not arguments.json:
@@ -85,6 +90,8 @@ def run(argv: Sequence[str]) -> int:
                 version=arguments.version,
                 skip_failed=arguments.skip_failed,
                 progress=bar,
+                executor=None if executor.kind == "serial" else executor,
+                choice=AnnotatorChoice(arguments.annotator, settings, device.name),
             )
     finally:
         annotator.close()
@@ -92,7 +99,7 @@ def run(argv: Sequence[str]) -> int:
         print(json.dumps({"dataset": str(arguments.dataset), **asdict(report)}))
     else:
         _print(report, arguments, trainable=isinstance(installed, TrainableAnnotator))
-    return ExitCode.PARTLY_DONE if report.failed else ExitCode.DONE
+    return ExitCode.PARTLY_DONE if report.failed or report.broken else ExitCode.DONE
 
 
 def _print(report: AnnotationReport, arguments: Arguments, *, trainable: bool) -> None:
@@ -107,6 +114,8 @@ def _print(report: AnnotationReport, arguments: Arguments, *, trainable: bool) -
         print(describe_training_data(arguments.annotator, report.trained_on, report.unfamiliar, frames))
         if report.unfamiliar and trainable:
             print(f"train on boxes of your own: mirror annotate train DATASET --annotator {arguments.annotator}")
+    for name, reason in report.broken.items():
+        print(f"{name}: {reason}; the same command tries it again")
     if report.failed:
         print(
             f"{len(report.failed)} frames failed; traversals without a layer: {', '.join(report.incomplete) or 'none'}"

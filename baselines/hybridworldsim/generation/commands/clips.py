@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +12,7 @@ import tyro
 
 from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode
+from mirror.executors.arguments import ExecutorArguments
 
 if TYPE_CHECKING:
     from hybridworldsim.generation.recorded.documents import ClipStatistics
@@ -70,6 +71,7 @@ class ClipArguments:
     which."""
     workers: int = 1
     """Number of processes, which share the traversals. Clips do not depend on it."""
+    executor: tyro.conf.OmitArgPrefixes[ExecutorArguments] = field(default_factory=ExecutorArguments)
     json: bool = False
     """Print JSON."""
 
@@ -102,6 +104,9 @@ def run_clips(argv: Sequence[str]) -> int:
         method=arguments.method,
         workers=arguments.workers,
         device=device.name,
+        executor=None
+        if arguments.executor == ExecutorArguments()
+        else arguments.executor.choose("serial" if arguments.workers == 1 else "processes", arguments.workers),
     )
     with progress_bar(quiet=arguments.json) as bar:
         statistics = make_recorded_clips(mirror.open(arguments.dataset), request, arguments.out, bar)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +21,7 @@ from hybridworldsim.generation.scenes.rollout import require_size
 from mirror.dataset.dataset import Dataset
 from mirror.devices import CPU, hardware_name
 from mirror.errors import DatasetError, UsageError
-from mirror.executors.choice import ExecutorChoice, Kind
+from mirror.executors.choice import ExecutorChoice
 from mirror.executors.job import Failure, ParallelJob
 from mirror.progress import ProgressReporter
 from mirror.schema.files import read_json, write_json
@@ -48,6 +48,7 @@ class ClipRequest:
         min_score: see `ClipSettings`.
         method: ``FILE.py:OBJECT`` of the models' method; None: it is installed.
         workers: number of processes.
+        executor: where the clips of a traversal are made; None: in this process, or in processes if there are several.
         device: where static models render, as torch names it.
     """
 
@@ -64,6 +65,7 @@ class ClipRequest:
     method: str | None = None
     workers: int = 1
     device: str = CPU
+    executor: ExecutorChoice | None = None
 
     def __post_init__(self) -> None:
         require_counts(workers=self.workers)
@@ -136,8 +138,12 @@ def make_recorded_clips(
 def _make_all(
     maker: ClipMaker, planned: Sequence[TraversalWindows], request: ClipRequest, progress: ProgressReporter
 ) -> Iterator[TraversalClips]:
-    kind: Kind = "serial" if request.workers == 1 or len(planned) < 2 else "processes"
-    with ExecutorChoice(kind, request.workers).open() as executor:
+    is_alone = request.workers == 1 or len(planned) < 2
+    choice = request.executor or ExecutorChoice("serial" if is_alone else "processes", request.workers)
+    if choice.kind == "ray":
+        # Workers of a cluster have other current folders.
+        maker = replace(maker, root=str(Path(maker.root).absolute()), out=maker.out.absolute())
+    with choice.open() as executor:
         # In this process each window is counted, elsewhere all of a traversal when it is done.
         advance = progress.advance if executor.is_local else _count_nothing
         for number, answer in executor.map(ParallelJob(_make_clipping, (maker, advance)), planned):

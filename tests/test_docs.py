@@ -105,8 +105,19 @@ def test_a_study_says_in_600_words_what_was_asked_found_and_where_it_loses(study
         assert part in text, part
     assert "**Where we lose.**" in text or "**Where it fails.**" in text
     assert len(re.findall(r"^\|---", text, re.M)) == 1, "one table; others stand in report.md"
-    # Each image has a caption in italics, with its command.
-    for caption in re.findall(r"^!\[.+\]\(.+\)\n\n(.*?)\n\n", text, re.M | re.S):
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in (*PAGES, *(ROOT / "benchmarks" / "studies").glob("*/README.md")) if "![" in page.read_text()],
+    ids=name_page,
+)
+def test_an_image_has_a_caption(page: Path) -> None:
+    """A paragraph in italics under the image says what to see, what it cost, and its command."""
+    text = page.read_text()
+    captions = re.findall(r"^!\[[^\n]+\]\([^\n]+\)\n\n(.*?)(?:\n\n|\Z)", text, re.M | re.S)
+    assert len(captions) == text.count("\n![")
+    for caption in captions:
         assert re.fullmatch(r"\*[^*].*\*", caption, re.S), caption
 
 

@@ -17,7 +17,7 @@ from mirror.schema.files import write_bytes
 
 _CLIPS: Final = 4
 _COLUMNS: Final = 8
-_SCALE: Final = 2
+_NAME_PX: Final = 140
 
 
 def write_sheets(study: Study, out: Path) -> list[Path]:
@@ -38,7 +38,7 @@ def list_rolled_out(study: Study) -> list[str]:
 
 
 def draw_sheet(study: Study, clip: Clip, models: Sequence[str], views: Sequence[int], columns: int) -> UInt8:
-    """Draw a sheet of one clip.
+    """Draw a sheet of one clip: images at their size, each under the number of its frame.
 
     Args:
         study: the study.
@@ -55,16 +55,18 @@ def draw_sheet(study: Study, clip: Clip, models: Sequence[str], views: Sequence[
                 sources[name] = stored["images"]
     frames = np.linspace(0, len(clip) - study.references - 1, columns).astype(int)
     rows = [
-        [
-            (f"{name}, {clip.views[view]}" if place == 0 else f"frame {frame}", _enlarge(images[frame, view]))
-            for place, frame in enumerate(frames)
-        ]
+        [("", _write_name((name, clip.views[view]), images.shape[2])), *(
+            (str(frame), images[frame, view]) for frame in frames
+        )]
         for name, images in sources.items()
         for view in views
-    ]
+    ]  # fmt: skip
     return sheet(rows)
 
 
-def _enlarge(image: UInt8) -> UInt8:
-    enlarged: UInt8 = image.repeat(_SCALE, 0).repeat(_SCALE, 1)
-    return enlarged
+def _write_name(lines: Sequence[str], height_px: int) -> UInt8:
+    """Write the name of a row beside it: images are shown at their size, which is too narrow for it."""
+    tile = np.full((height_px, _NAME_PX, 3), 255, np.uint8)
+    for number, line in enumerate(lines):
+        cv2.putText(tile, line, (2, 14 + 16 * number), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+    return tile

@@ -328,9 +328,9 @@ def test_sheets_show_truth_background_and_models(study: Study, tmp_path: Path) -
     assert len(paths) == DRIVES
     sheet = cv2.imread(str(paths[0]))
     sources = 2 + len([path for path in (study.folder / "rollouts").iterdir() if not path.name.startswith("teacher-")])
-    # Each image is enlarged twice, under a caption of 16 pixels, with gaps of 4.
-    assert sheet.shape == (sources * 2 * (2 * HEIGHT + 20), 8 * (2 * WIDTH + 4), 3)
-    assert (sheet[16 : 16 + 2 * HEIGHT : 2, : 2 * WIDTH : 2, ::-1] == study.test[0].images[T, 0]).all()
+    # Each image has its own size, under a caption of 16 pixels, with gaps of 4, and the name of its row to the left.
+    assert sheet.shape == (sources * 2 * (HEIGHT + 20), 144 + 8 * (WIDTH + 4), 3)
+    assert (sheet[16 : 16 + HEIGHT, 144 : 144 + WIDTH, ::-1] == study.test[0].images[T, 0]).all()
 
 
 def test_too_few_clips_are_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The reference model on a GPU, offline: checks, rasterizer, frames, training, generation, features and closed loop.
+"""The reference model on a GPU, offline: checks, depth, rasterizer, frames, training, generation, features, a drive.
 
 ``python -m benchmarks gpu`` takes at most four minutes on a GPU, after it has made its street (`benchmarks/out/gpu`;
 once, on the CPU's cores); each part states its budget and its seconds. ``--full METHOD`` trains one method for 30,000
@@ -132,6 +132,7 @@ def _list_parts(
 ) -> Mapping[str, Callable[[], PartResult]]:
     """The chosen parts in their order."""
     from benchmarks.gpu.closed_loop import measure_loop
+    from benchmarks.gpu.depth import measure_depth
     from benchmarks.gpu.networks import measure_features, measure_generation
     from benchmarks.gpu.splats import measure_checks, measure_frames, measure_rasterizer
     from benchmarks.gpu.training import measure_step, train_block, train_fully
@@ -143,6 +144,7 @@ def _list_parts(
         }
     simple: Mapping[str, Callable[[Machine], dict[str, float]]] = {
         "checks": measure_checks,
+        "depth": measure_depth,
         "rasterizer": measure_rasterizer,
         "frames": measure_frames,
         "step": measure_step,

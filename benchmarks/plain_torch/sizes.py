@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import resource
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final, TypeVar
 
@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from benchmarks.gpu.machine import Machine
 from benchmarks.gpu.splats import SOURCE, front_view, random_image, random_street
+from benchmarks.plain_torch.facade import make_images, true_depth
 from hybridworldsim.generation.network.configuration import SMALL, TINY, TINY_REFERENCES
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.training.costs import empty_conditions
@@ -22,7 +23,6 @@ from hybridworldsim.generation.training.generator_trainer import predict_velocit
 from hybridworldsim.kernels.dispatch import plain_torch
 from hybridworldsim.model.settings import AnchorRefinement, Settings
 from hybridworldsim.model.trainer import StreetTrainer
-from hybridworldsim.mvs.estimator import StereoImage
 from hybridworldsim.mvs.fusion import PosedDepth, confirm
 from hybridworldsim.mvs.plane_sweep import PlaneSweep
 from hybridworldsim.mvs.sky import find_sky
@@ -30,14 +30,12 @@ from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.simulator.renderers import compositing
 from hybridworldsim.simulator.renderers import plain_compositing as plain
 from hybridworldsim.simulator.renderers.agent_layer import AgentImage
-from mirror.arrays import AnyArray, Float64
-from mirror.geometry import Poses
+from mirror.arrays import AnyArray
 from mirror_baselines.splatting.row_adam import RowAdam
 
 GAUSSIANS: Final = 3_000_000
 CAMERAS: Final = 7
 _GENERATED_PX: Final = (448, 256)
-_FACING: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 1.5], [0, 0, 0, 1]])
 _R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _AT: Final = np.array([3.0, -1.0, 1.5])
 
@@ -99,7 +97,7 @@ def update_rows(machine: Machine) -> Line:
 
 def sweep_depth(machine: Machine) -> Line:
     """Estimate the depth of an image from four sources, with 128 facing planes and 32 of the road."""
-    reference, sources = _street_images(machine)
+    reference, sources = make_images(*machine.size_px())
     sweep = PlaneSweep()
     found, line = _measure(
         f"plane sweep of an image, {reference.rgb.shape[1]}x{reference.rgb.shape[0]}, 160 planes, 4 sources",
@@ -118,8 +116,8 @@ def sweep_depth(machine: Machine) -> Line:
 
 def confirm_depth(machine: Machine) -> Line:
     """Compare a depth map with eight others."""
-    reference, sources = _street_images(machine)
-    maps = [PosedDepth(_true_depth(one), one.K, one.world_SE3_camera) for one in (reference, *sources, *sources)]
+    reference, sources = make_images(*machine.size_px())
+    maps = [PosedDepth(true_depth(one), one.K, one.world_SE3_camera) for one in (reference, *sources, *sources)]
     found, line = _measure(
         f"fusion with eight depth maps, {maps[0].depth_m.shape[1]}x{maps[0].depth_m.shape[0]}",
         lambda: confirm(maps[0], maps[1:]),
@@ -131,7 +129,7 @@ def confirm_depth(machine: Machine) -> Line:
 
 def mask_sky(machine: Machine) -> Line:
     """Find the sky of an image."""
-    image, _ = _street_images(machine)
+    image, _ = make_images(*machine.size_px())
     unknown = np.full(image.valid.shape, np.nan, np.float32)
     unknown[len(unknown) // 2 :] = 9.0
     found, line = _measure(
@@ -230,48 +228,6 @@ def _measure(name: str, compute: Callable[[], T]) -> tuple[T, Line]:
     peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20)
     gc.collect()
     return found, Line(name, seconds, peak_gb, "")
-
-
-def _street_images(machine: Machine) -> tuple[StereoImage, Sequence[StereoImage]]:
-    """Make an image of a textured facade below a sky, and four sources beside it."""
-    width, height = machine.size_px()
-    K = np.array([[0.6 * width, 0.0, width / 2], [0.0, 0.6 * width, height / 2], [0.0, 0.0, 1.0]])
-    images = []
-    for x_m in (0.0, -1.0, 1.0, 0.5, -0.5):
-        pose = _FACING.copy()
-        pose[0, 3] = x_m
-        place = StereoImage(
-            np.zeros((height, width, 3), np.uint8), K, Poses.from_matrix(pose), np.ones((height, width), np.bool_)
-        )
-        images.append(replace(place, rgb=_shade(place)))
-    return images[0], images[1:]
-
-
-def _rays(image: StereoImage) -> Float64:
-    """Rays (H, W, 3) in the world, of which the camera's z is 1."""
-    height, width = image.valid.shape
-    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(image.K).T
-    return np.asarray(rays @ image.world_SE3_camera.matrix()[0, :3, :3].T)
-
-
-def _true_depth(image: StereoImage) -> AnyArray:
-    """Depth (H, W) of a facade that is 12 m ahead and turned; NaN in the sky."""
-    rays, origin = _rays(image), image.world_SE3_camera.translation[0]
-    normal = np.array([0.25, 0.97, 0.0])
-    depth = (12.0 - origin @ normal) / (rays @ normal)
-    return np.where(origin[2] + depth * rays[..., 2] < 4.0, depth, np.nan).astype(np.float32)
-
-
-def _shade(image: StereoImage) -> AnyArray:
-    depth = _true_depth(image).astype(np.float64)
-    point = image.world_SE3_camera.translation[0] + depth[..., None] * _rays(image)
-    rng = np.random.default_rng(0)
-    waves, phase = rng.normal(size=(3, 24)) * rng.uniform(0.5, 9.0, 24), rng.uniform(0.0, 6.3, 24)
-    grey = 110.0 + 300.0 * np.sin(point @ waves + phase).mean(axis=-1)
-    sky = np.array([190.0, 205.0, 230.0])
-    shown = np.where(np.isfinite(depth)[..., None], grey[..., None], sky)
-    return np.clip(shown, 0.0, 255.0).astype(np.uint8)
 
 
 PARTS: Final[Mapping[str, Callable[[Machine], Line]]] = {

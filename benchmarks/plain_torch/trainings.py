@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import cache
 from typing import Final
 
 import numpy as np
@@ -14,25 +13,22 @@ import torch
 from torch import Tensor
 
 from benchmarks.gpu.machine import Machine
-from benchmarks.gpu.splats import SOURCE, front_view, random_street
 from benchmarks.gpu.streets import SPLIT, choose_street, make_street, read_training
 from benchmarks.report import OUT
-from benchmarks.street.benchmark import corridor
 from hybridworldsim.kernels.dispatch import plain_torch
+from hybridworldsim.model.initialization import initial_street
 from hybridworldsim.model.losses import colour_loss
-from hybridworldsim.model.settings import AnchorRefinement, Settings
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.model.visibility_cache import VisibilityCache
-from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.trainable.viewpoint import Viewpoint
+from hybridworldsim.training.block_training import psnr_db
 from mirror.cli.main import main as run_verb
 from mirror.errors import DatasetError, ExitCode
+from tests.training.street import SETTINGS, Painted, initial, views
 
 STEPS: Final = 200
 ADAM_BAR_DB: Final = 0.05
 VERB_BAR_DB: Final = 0.1
-_IMAGES: Final = 6
-_SIZE_PX: Final = (96, 54)
 
 
 class _EveryRow(VisibilityCache):
@@ -69,36 +65,20 @@ def compare_adam(seeds: int) -> bool:
 
 
 def _train_street(seed: int, *, dense: bool, skips: bool = False, noise: float = 0.0) -> float:
-    """Train on images of a random street; return the mean PSNR of these images then."""
-    refinement = AnchorRefinement(begin=0.2, end=0.9, times=3, max_anchors=1_500, cells_m=(1.6, 0.4))
-    settings = Settings(refinement=refinement, depth_weight=0.0, normal_weight=0.0, seed=seed)
-    street, images = corridor(1_000, seed), _teach()
-    with torch.no_grad():
-        for node in street.nodes:
-            node.codes.zero_()
-        street.background.offsets.add_(noise * torch.randn_like(street.background.offsets))
+    """Train the street of the tests; return the mean PSNR of its images then."""
+    settings = replace(SETTINGS, structure_weight=0.1, seed=seed)
+    street, images = initial_street(initial(), settings), [Painted()(one) for one in views()]
+    if noise:
+        with torch.no_grad():
+            random = torch.randn(street.background.offsets.shape, generator=torch.Generator().manual_seed(seed))
+            street.background.offsets.add_(noise * random)
     trainer = StreetTrainer(street, settings, dense=dense)
     if not skips:
         trainer._visibility = _EveryRow()
     for step in range(STEPS):
-        trainer.step(images[5 * step % len(images)], step / STEPS)
+        trainer.step(images[7 * step % len(images)], step / STEPS)
     errors = [colour_loss(trainer.render(one.viewpoint).rgb, one.rgb, one.scored) for one in images]
-    return float(np.mean([-10.0 * np.log10(float(error)) for error in errors]))
-
-
-@cache
-def _teach() -> list[TrainingImage]:
-    """Render a random street from places along it."""
-    street, images = random_street(9_000), []
-    for number in range(_IMAGES):
-        view = front_view(*_SIZE_PX)
-        viewmat = view.viewmat.clone()
-        viewmat[2, 3] -= 4.0 * number
-        view = replace(view, viewmat=viewmat)
-        with torch.no_grad():
-            rgb = street(view, street.appearance(SOURCE)).rgb
-        images.append(TrainingImage(view, rgb, torch.ones(rgb.shape[:2], dtype=torch.bool), None, None))
-    return images
+    return float(np.mean([psnr_db(float(error)) for error in errors]))
 
 
 def compare_verbs(machine: Machine) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks.gpu import benchmark, networks, splats, training
+from benchmarks.gpu import benchmark, depth, networks, splats, training
 from benchmarks.gpu.bringing import EXTRAS, ROOT, describe_needs
 from benchmarks.gpu.machine import Machine, Stopwatch
 from benchmarks.gpu.quantities import BUDGETS_S, METHODS, Measurement, PartResult, full_part, list_quantities
@@ -24,7 +24,7 @@ TINY = Machine("cpu", 2e-4)
 @pytest.fixture
 def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts repeat their calls as rarely as they can."""
-    for module in (splats, training, networks):
+    for module in (splats, training, networks, depth):
         monkeypatch.setattr(module, "BUDGETS_S", dict.fromkeys(BUDGETS_S, 0.0))
     monkeypatch.setattr(training, "_TIMED", 1)
 
@@ -62,6 +62,7 @@ def test_a_stopwatch_measures_functions_and_gives_them_back() -> None:
     [
         ("rasterizer", splats.measure_rasterizer),
         ("frames", splats.measure_frames),
+        ("depth", depth.measure_depth),
         ("step", training.measure_step),
         ("generation", networks.measure_generation),
     ],
@@ -70,7 +71,7 @@ def test_a_part_measures_what_the_table_lists(part: str, measure) -> None:
     found = measure(TINY)
     absent = set(names(part)) - set(found)
     assert set(found) <= set(names(part)) and all(
-        value > 0.0 for name, value in found.items() if "overhead" not in name
+        value > 0.0 for name, value in found.items() if "overhead" not in name and "not that" not in name
     )
     assert all("gsplat called directly" in name for name in absent)
     for form in (training.StreetTrainer.step, training.street_module.rasterization, torch.Tensor.backward):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from mirror.errors import ExitCode
 from mirror.evaluation.rollouts import evaluate_rollouts
 from mirror.protocols import document
 from mirror.protocols.document import Protocol, commit_to_secret, load_protocol, parse_protocol, read_definition
+from mirror.protocols.suite import list_drives
 from mirror.schema.files import write_json
 from mirror.schema.rollout import STATES_FILE
 from mirror.schema.suite_run import SUITE_FILE, SuiteRun
@@ -26,6 +28,7 @@ from mirror_leaderboard.refused import RefusedError
 from mirror_leaderboard.rescore import Sources, SuitePlan
 from mirror_leaderboard.site.tables import list_variant
 
+needs_bubblewrap = pytest.mark.skipif(shutil.which("bwrap") is None, reason="bubblewrap is not installed")
 SECRET = b"7d" * 32
 POLICY = """
 from hybridworldsim.simulator.ego.vehicle import Controls
@@ -153,3 +156,48 @@ def test_a_test_split_takes_no_policy_in_the_simulators_process(folder: Path, tm
     assert main(words) == ExitCode.COULD_NOT_RUN
     assert main([*words, "--secret", str(tmp_path / "secret")]) == ExitCode.COULD_NOT_RUN
     assert not (tmp_path / "runs").exists()
+
+
+def list_draws(protocol: Protocol) -> set[str]:
+    """List the numbers that the secret drew, as text: starts and parameters of the agents."""
+    plain = parse_protocol(short_suite(), "short.toml").suite
+    assert plain is not None and protocol.suite is not None and plain.draw is not None
+    undrawn = plain.model_copy(update={"draw": None})
+    drives = zip(list_drives(protocol.suite, SECRET), list_drives(undrawn), strict=True)
+    found = set()
+    for drawn, base in drives:
+        numbers = [set(re.findall(r"\d+\.\d{2,}", one.scenario.model_dump_json())) for one in (drawn, base)]
+        found |= numbers[0] - numbers[1]
+    return found
+
+
+@needs_bubblewrap
+def test_a_test_split_is_driven_scored_and_published_without_its_secret(tmp_path: Path) -> None:
+    commitment = hashlib.sha256(SECRET).hexdigest()
+    suite, secret = tmp_path / "test.toml", tmp_path / "secret"
+    suite.write_text(short_suite().decode().replace("seed = 5200", f'commitment = "{commitment}"'))
+    secret.write_bytes(SECRET)
+    (tmp_path / "policy").mkdir()
+    (tmp_path / "policy" / "policy.py").write_text(POLICY)
+    runs, scores, board, site = (tmp_path / name for name in ("runs", "scores", "board", "site"))
+    policy = f"sandbox:{tmp_path / 'policy' / 'policy.py'}:Straight"
+    words = ["--secret", str(secret)]
+    simulate = ["simulate", "--suite", str(suite), "--policy", policy, "--out", str(runs), "--workers", "1"]
+    assert main([*simulate, *words]) == ExitCode.FINDINGS  # one drive ends by the policy
+    evaluate = ["evaluate", str(runs), "--protocol", str(suite), "--out", str(scores), "--report"]
+    assert main([*evaluate, *words]) == ExitCode.DONE
+    add_words = ["leaderboard", "add", str(scores / "result.json"), str(runs), "--again", "--ran-here"]
+    assert main([*add_words, *words, "--dataset-name", "test split", "--board", str(board)]) == ExitCode.DONE
+    assert main(["leaderboard", "build", "--board", str(board), "--out", str(site), "--unsigned"]) == ExitCode.DONE
+    (entry,) = load_entries(board / "entries")
+    assert isinstance(entry, Measured) and entry.verified and entry.policy_run == "sandbox"
+    drawn = list_draws(load_protocol(str(suite)))
+    assert len(drawn) >= 4
+    published = [path for folder in (scores, board, site) for path in folder.rglob("*") if path.is_file()]
+    text = b"\n".join(path.read_bytes() for path in published).decode("utf-8", "replace")
+    assert commitment in text and "policy run by the organiser" in text
+    assert SECRET.decode() not in text and SECRET.hex() not in text
+    # The rollouts, which stay with the organiser, have the drawn scenarios.
+    kept = "".join(path.read_text() for path in runs.rglob("scenario.toml"))
+    assert all(number in kept for number in drawn)
+    assert [number for number in drawn if number in text] == []

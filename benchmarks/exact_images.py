@@ -78,7 +78,8 @@ def _rows(drives: int, repeats: int, against: Path | None) -> Iterator[Row]:
             theirs.append(_measure(against.resolve(), drives))
         ours.append(_measure(_ROOT, drives))
     for width, bar in _BARS.items():
-        ms, error, peers = _median_ms(ours, width), None, ()
+        ms, error = _median_ms(ours, width), None
+        peers: tuple[Peer, ...] = ()
         if theirs:
             names = [name for name in ours[0]["hashes"] if name.startswith(f"{width}/")]
             error = sum(ours[0]["hashes"][name] != theirs[0]["hashes"].get(name) for name in names)

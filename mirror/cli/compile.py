@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Final
@@ -18,6 +19,7 @@ from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 _EXAMPLES: Final = ("mirror compile", "mirror compile --cache /opt/mirror-kernels --json")
+_VERBS: Final = "mirror"
 _STEPS: Final = 20
 """Training images of the reconstruction: its functions are compiled at the first."""
 
@@ -26,9 +28,10 @@ _STEPS: Final = 20
 class Arguments:
     """Compile the kernels of the common verbs and keep the machine code, so that no later command waits for it.
 
-    The verbs run on a tiny synthetic street in a temporary folder, which is removed. What an extra needs that is not
-    installed is left out. The machine code is for this processor and these versions of mirror and numba; where others
-    are found, commands compile again by themselves. The exit code is 3 if a verb failed.
+    The verbs run on a tiny synthetic street in a temporary folder, which is removed; functions that they do not reach
+    there are called with small inputs. What an extra needs that is not installed is left out. The machine code is for
+    this processor and these versions of mirror and numba; where others are found, commands compile again by themselves.
+    The exit code is 3 if a verb failed.
     """
 
     cache: Annotated[Path | None, help_text(default="beside the sources, or in the cache folder of the user")] = None
@@ -43,12 +46,12 @@ class Arguments:
 
 @dataclass(frozen=True)
 class CompiledStep:
-    """One verb that was run.
+    """One verb, or one module of calls with small inputs, that was run.
 
     Attributes:
         verb: its name.
         seconds: elapsed time.
-        exit_code: of the verb.
+        exit_code: its exit code.
     """
 
     verb: str
@@ -75,7 +78,7 @@ def main(argv: Sequence[str]) -> int:
         kept = None if cache is None else str(cache)
         print(json.dumps({"cache": kept, "seconds": round(seconds, 1), "steps": [asdict(step) for step in steps]}))
     else:
-        print(f"compiled the kernels of {len(steps) - len(failed)} verbs in {seconds:.0f} s")
+        print(f"compiled the kernels of {', '.join(one.verb for one in steps if not one.exit_code)} in {seconds:.0f} s")
         if cache is not None:
             print(f"later commands use them with NUMBA_CACHE_DIR={cache}")
     return ExitCode.PARTLY_DONE if failed else ExitCode.DONE
@@ -99,49 +102,61 @@ def _writable(cache: Path) -> Path:
 
 
 def _chains(folder: Path) -> Iterator[list[list[str]]]:
-    """Verbs that follow each other, for processes that work side by side; the longest chain first."""
+    """Modules and their arguments that follow each other, for processes that work side by side; the longest first."""
     recordings, dataset = folder / "recordings", str(folder / "dataset")
     regions = ["--rois", str(recordings / "rois.geojson"), "--map", str(recordings / "maps")]
     drives = [str(recordings / f"guangzhou-urban-0{number}") for number in (1, 2)]
+    has_models = find_spec("torch") is not None and find_spec("scipy") is not None
     chain = [
         ["synth", "--preset", "tiny", "--workers", "1", "--out", str(recordings)],
         ["ingest", *drives, *regions, "--licence", "CC0-1.0", "--out", dataset],
     ]
-    if find_spec("torch") is not None and find_spec("scipy") is not None:
+    if has_models:
         chain += [
             ["split", dataset, "novel", "--train", "1", "--held-out-traversals", "1"],
             ["reconstruct", dataset, "--split", "novel", "--steps", str(_STEPS), "--out", str(folder / "model")],
             ["baseline", dataset, "--method", "nearest_frame", "--split", "novel", "--out", str(folder / "renders")],
             ["evaluate", dataset, str(folder / "renders"), "--workers", "1", "--out", str(folder / "results")],
         ]
-    yield chain
+    yield [[_VERBS, *words] for words in chain]
+    beside = [["mirror.cli.small_inputs"]]
+    if has_models:
+        beside += [[module] for module in _small_inputs_of_methods()]
     if all(find_spec(package) is not None for package in ("gymnasium", "scipy")):
         drive = ["--scenario", "hard-brake", "--policy", "idm", "--duration", "1", "--renderer", "boxes", "--no-video"]
-        yield [["simulate", "synth:tiny", *drive, "--out", str(folder / "drive")]]
+        beside += [[_VERBS, "simulate", "synth:tiny", *drive, "--out", str(folder / "drive")]]
+    yield beside
+
+
+def _small_inputs_of_methods() -> list[str]:
+    """Return the modules ``small_inputs`` of the packages that have methods."""
+    packages = {point.module.partition(".")[0] for point in entry_points(group="mirror.methods")}
+    return [f"{name}.small_inputs" for name in sorted(packages) if find_spec(f"{name}.small_inputs") is not None]
 
 
 def _run_chain(chain: Sequence[Sequence[str]], folder: str, cache: Path | None) -> list[CompiledStep]:
     done: list[CompiledStep] = []
     for words in chain:
-        done.append(_run_verb(words, folder, cache))
+        done.append(_run(words, folder, cache))
         if done[-1].exit_code:
             break
     return done
 
 
-def _run_verb(words: Sequence[str], folder: str, cache: Path | None) -> CompiledStep:
+def _run(words: Sequence[str], folder: str, cache: Path | None) -> CompiledStep:
     from mirror.compiled import COMPILE_ALWAYS
 
-    print(f"compiling the kernels of `mirror {words[0]}`", file=sys.stderr, flush=True)
+    name = words[1] if words[0] == _VERBS else words[0]
+    print(f"compiling the kernels of {name}", file=sys.stderr, flush=True)
     begin = time.monotonic()
     environment = os.environ | {COMPILE_ALWAYS: "1"}
     if cache is not None:
         environment["NUMBA_CACHE_DIR"] = str(cache)
-    with Path(folder, f"{words[0]}.log").open("w+") as log:
+    with Path(folder, f"{name}.log").open("w+") as log:
         ended = subprocess.run(
-            [sys.executable, "-m", "mirror", *words], env=environment, stdout=log, stderr=subprocess.STDOUT, check=False
+            [sys.executable, "-m", *words], env=environment, stdout=log, stderr=subprocess.STDOUT, check=False
         )
         log.seek(0)
         if ended.returncode:
-            print(f"`mirror {words[0]}` ended with {ended.returncode}:\n{log.read()}", file=sys.stderr, flush=True)
-    return CompiledStep(words[0], round(time.monotonic() - begin, 1), ended.returncode)
+            print(f"{name} ended with {ended.returncode}:\n{log.read()}", file=sys.stderr, flush=True)
+    return CompiledStep(name, round(time.monotonic() - begin, 1), ended.returncode)

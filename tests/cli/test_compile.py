@@ -5,12 +5,19 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import hybridworldsim.small_inputs
+import mirror.cli.small_inputs
+from hybridworldsim.rasterizer.cpu.projection.rolling import rolling_part_backward
+from mirror.calibration.refinement.equations import reduce_equations
 from mirror.cli.main import main
 from mirror.compiled import COMPILE_ALWAYS
+from mirror.metrics.boxes.overlap_kernels import overlaps
 
 _COUNT: str = """
 import numpy as np
@@ -39,3 +46,15 @@ def test_functions_are_compiled_for_small_inputs_only_where_all_are(tmp_path: Pa
             [sys.executable, "-c", _COUNT], env=environment, capture_output=True, text=True, check=True
         )
         assert done.stdout.strip() == expected
+
+
+@pytest.mark.parametrize(
+    ("call", "functions"),
+    [
+        (mirror.cli.small_inputs.main, (overlaps, reduce_equations)),
+        (hybridworldsim.small_inputs.main, (rolling_part_backward,)),
+    ],
+)
+def test_small_inputs_reach_functions_that_no_verb_does(call: Callable[[], None], functions: tuple[Any, ...]) -> None:
+    call()
+    assert all(function.overloads for function in functions)

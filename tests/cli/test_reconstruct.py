@@ -44,11 +44,12 @@ from mirror.methods.plugin import ReconstructionTask
 from mirror.methods.registry import installed_method
 from mirror.progress import NullProgress, progress_bar
 from mirror.protocols.document import load_protocol
-from mirror.protocols.views import Plan, plan_views
+from mirror.protocols.views import plan_views
 from mirror.protocols.views.view import RenderView
 from mirror.schema.tables import BOXES, DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 from tests.builders.lanes import add_initial_points
+from tests.builders.street import make_street
 from tests.interruption import interrupt_before
 
 STEPS = 40
@@ -600,18 +601,17 @@ def test_held_out_frames_of_training_traversals_are_not_trained_on(
 
 
 def test_protocol_with_distorted_images_is_refused_before_layers_are_made(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def distorted(*asked: Any, **more: Any) -> Plan:
-        plan = plan_views(*asked, **more)
-        lens = {"model": "kannala_brandt", "distortion": (0.1, 0.0, 0.0, 0.0)}
-        return replace(plan, views=tuple(view.model_copy(update=lens) for view in plan.views))
-
-    monkeypatch.setattr("hybridworldsim.training.views.plan_views", distorted)
-    words = reconstruct(dataset, tmp_path / "model", "--initialise", "plane-sweep")
+    fisheye = make_street(tmp_path / "fisheye", ("front_wide", "rear"))
+    protocol = narrow(tmp_path)
+    protocol.write_text(protocol.read_text().replace('space = "undistorted"', 'space = "raw"'))
+    words = reconstruct(
+        fisheye, tmp_path / "model", "--initialise", "plane-sweep", "--protocol", protocol, "--hold-out"
+    )
     refused = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
     assert "a lens of model kannala_brandt" in refused["problem"] and not (tmp_path / "model").exists()
-    assert not list(Path(dataset.root).glob("traversals/*/layers/*/plane-sweep@*"))
+    assert not list(Path(fisheye.root).glob("traversals/*/layers/*/plane-sweep@*"))
 
 
 def test_a_model_is_rendered_at_the_poses_that_it_was_trained_at(dataset: Dataset, tmp_path: Path) -> None:

@@ -88,17 +88,25 @@ def test_two_processes_make_the_model_of_one(together: Path, tmp_path: Path, nam
     assert '"processes": 2' in (together / name / f"{inner}run.json").read_text()
 
 
-def test_the_others_hear_that_the_leading_process_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_others_hear_that_the_leading_process_stopped() -> None:
     """The flag of the leading process, as the others receive it."""
     said: list[bool] = []
-    monkeypatch.setattr(Processes, "any", lambda _, flag: said.append(flag) or flag)
-    with pytest.raises(KeyboardInterrupt), Processes(0, 2).leader_first():
+
+    class Leader(Processes):
+        def any(self, flag: bool) -> bool:
+            said.append(flag)
+            return flag
+
+    class Other(Processes):
+        def any(self, flag: bool) -> bool:
+            return True
+
+    with pytest.raises(KeyboardInterrupt), Leader(0, 2).leader_first():
         raise KeyboardInterrupt
-    with Processes(0, 2).leader_first():
+    with Leader(0, 2).leader_first():
         assert said == [True]
     assert said == [True, False, False]
-    monkeypatch.setattr(Processes, "any", lambda *_: True)
-    with pytest.raises(DatasetError, match="the leading process stopped"), Processes(1, 2).leader_first():
+    with pytest.raises(DatasetError, match="the leading process stopped"), Other(1, 2).leader_first():
         pytest.fail("the block must not run")
 
 

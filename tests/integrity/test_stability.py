@@ -11,7 +11,7 @@ import pytest
 
 from mirror.integrity import Cost, check
 from mirror.integrity.finding import Finding, Severity
-from mirror.integrity.registry import select_rules
+from mirror.integrity.registry import rules
 from mirror.integrity.rule import Rule
 from tests.integrity.clean import TABLES, Broken
 from tests.integrity.edit import A0, BOXES, MASKS
@@ -88,13 +88,12 @@ def test_a_rule_that_fails_is_a_finding_and_the_others_go_on(broken: Broken, mon
 
     broken.set(A0, "ego_poses", 3, qw=7.0)
     broken.seal()
-    rules = [
+    for rule in (
         Rule("ZZZ001", Severity.INFO, Cost.TABLES, "A rule.", "none", of_dataset=fails),
         Rule("ZZZ002", Severity.WARNING, Cost.TABLES, "A rule.", "none", of_scene=fails),
-        *select_rules(("POS",)),
-    ]
-    monkeypatch.setattr("mirror.integrity.run.select_rules", lambda *_: rules)
-    report = check(broken.root)
+    ):
+        monkeypatch.setitem(rules(), rule.rule_id, rule)
+    report = check(broken.root, only=("ZZZ", "POS"))
     found = [(rule.rule_id, rule.severity, finding.file, finding.place) for rule, finding in report.findings]
     assert ("ZZZ001", Severity.ERROR, "dataset.json", None) in found
     assert ("ZZZ002", Severity.ERROR, "rois.geojson", "scene a") in found

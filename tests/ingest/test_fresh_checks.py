@@ -9,6 +9,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
+import mirror
 from mirror.dataset.layout import Layout
 from mirror.errors import RecordingError
 from mirror.ingest.request import IngestOptions
@@ -56,7 +57,7 @@ def test_a_fresh_dataset_passes_its_own_check(reader: str, tmp_path: Path) -> No
             y_m=float(np.median(track.y_m)),
             radius_m=200.0,
         )
-    for storage in STORAGES:
+    for storage in sorted(STORAGES, key=lambda storage: storage != "video"):
         options = IngestOptions(reader=reader, workers=1, write=WriteOptions(videos=storage))
         report = ingest_recordings([path], [scene], tmp_path / storage, options)
         assert not report.failures and len(report.traversals) == 1
@@ -67,6 +68,10 @@ def test_a_fresh_dataset_passes_its_own_check(reader: str, tmp_path: Path) -> No
             if rule.severity is not Severity.INFO and rule.rule_id not in EXPECTED
         ]
         assert not findings
+        images = mirror.open(tmp_path / storage).table("images", ["video_pts"]).column(0)
+        if storage == "video" and images.null_count == len(images):
+            # There is no video that could be stored otherwise.
+            break
 
 
 def _fleet_drive(root: Path, **camera: object) -> Path:

@@ -26,13 +26,18 @@ def _render() -> None:
     later = viewmats.clone()
     later[:, 0, 3] = 0.1
     shutter = {"rolling_shutter": RollingShutterType.ROLLING_TOP_TO_BOTTOM, "viewmats_rs": later}
+    camera = {"viewmats": viewmats, "Ks": ks, "width": 32, "height": 32}
     for dtype, more in product((torch.float32, torch.float64), ({}, lens, {**lens, **shutter})):
-        means, quats = (torch.randn(4, size, generator=random) for size in (3, 4))
-        shape = [means + torch.tensor([0.0, 0.0, 5.0]), quats, torch.full((4, 3), 0.3), torch.full((4,), 0.5)]
-        colors = torch.rand(4, 4, 3, generator=random)
-        parts = [part.to(dtype).requires_grad_() for part in (*shape, colors)]
-        arguments: dict[str, Any] = {"sh_degree": 1, "backend": "cpu", **more}
-        shown, _, _ = rasterization(*parts, viewmats, ks, 32, 32, **arguments)
+        shape = {
+            "means": torch.randn(4, 3, generator=random) + torch.tensor([0.0, 0.0, 5.0]),
+            "quats": torch.randn(4, 4, generator=random),
+            "scales": torch.full((4, 3), 0.3),
+            "opacities": torch.full((4,), 0.5),
+            "colors": torch.rand(4, 4, 3, generator=random),
+        }
+        learnt = {name: part.to(dtype).requires_grad_() for name, part in shape.items()}
+        arguments: dict[str, Any] = {**learnt, **camera, **more}
+        shown, _, _ = rasterization(sh_degree=1, backend="cpu", **arguments)
         shown.sum().backward()
 
 

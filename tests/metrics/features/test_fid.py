@@ -35,10 +35,10 @@ def images(count, seed=0, size=(40, 60)):
     return np.random.default_rng(seed).integers(0, 256, (count, *size, 3), dtype=np.uint8)
 
 
-def test_figure(smoke):
-    a, b = images(5), images(4, seed=1) // 2
-    got = fid(iter(a), iter(b), smoke)
-    features = extract(smoke, a), extract(smoke, b)
+def test_figure(smoke, tmp_path):
+    a, b, cache = images(5), images(4, seed=1) // 2, FeatureCache(tmp_path)
+    features = extract(smoke, a, cache), extract(smoke, b, cache)
+    got = fid(iter(a), iter(b), smoke, cache=cache)
     assert got.value == pytest.approx(frechet_distance(*features).value, rel=1e-6)
     assert (got.name, got.mode, got.frechet.n) == ("smoke", "clean", (5, 4))
     assert got.kernel is not None
@@ -46,9 +46,9 @@ def test_figure(smoke):
     assert "fewer than 2048" in got.warning
 
 
-def test_identical_sets(smoke):
+def test_identical_sets(smoke, tmp_path):
     a = images(3)
-    got = fid(a, a, smoke)
+    got = fid(a, a, smoke, cache=FeatureCache(tmp_path))
     assert got.value == 0.0
     assert got.kernel is None
 

@@ -24,7 +24,7 @@ _PUBLISH_EXAMPLES = (
 )
 _FETCH_EXAMPLES = (
     "mirror dataset fetch published --out street",
-    "mirror dataset fetch https://example.org/street --out street --json",
+    "mirror dataset fetch s3://fleet/street --camera front_wide --light night --out nights --json",
 )
 _MIGRATE_EXAMPLES = ("mirror dataset migrate demo/dataset", "mirror dataset migrate demo/dataset --json")
 _AUDIT_EXAMPLES = (
@@ -78,6 +78,8 @@ class Publish:
 class Fetch:
     """Fetch a published dataset and verify every file. An interrupted call continues when it is repeated.
 
+    With --scene, --camera or --light, a part of any dataset is fetched, as a dataset of its own.
+
     Exit codes: 0 done, 2 could not run, 3 some files failed and the rest is verified.
     """
 
@@ -85,6 +87,12 @@ class Fetch:
     """Folder or URL of the bundle: https://, s3://, hf://datasets/OWNER/NAME, or any other that fsspec reads."""
     out: Annotated[Path, help_text(metavar="FOLDER")]
     """A new folder, or the folder of an interrupted call."""
+    scene: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="ID")] = ()
+    """Only this scene."""
+    camera: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME")] = ()
+    """Only this camera."""
+    light: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="day|dusk|night")] = ()
+    """Only traversals in this light."""
     json: bool = False
     """Print JSON."""
 
@@ -278,6 +286,8 @@ def _fetch(argv: Sequence[str]) -> int:
     from mirror.export.fetch import fetch
     from mirror.progress import progress_bar
 
+    if arguments.scene or arguments.camera or arguments.light:
+        return _fetch_part(arguments)
     with progress_bar(quiet=arguments.json) as bar:
         report = fetch(arguments.url, arguments.out, progress=bar)
     for _, problem in report.failed:
@@ -291,3 +301,24 @@ def _fetch(argv: Sequence[str]) -> int:
             f" licence {report.bundle.licence}, split {report.bundle.split}"
         )
     return ExitCode.PARTLY_DONE if report.failed else ExitCode.DONE
+
+
+def _fetch_part(arguments: Fetch) -> int:
+    from dataclasses import asdict
+
+    from mirror.export.part import fetch_part
+    from mirror.progress import progress_bar
+
+    with progress_bar(quiet=arguments.json) as bar:
+        report = fetch_part(
+            arguments.url, arguments.out, scenes=arguments.scene, cameras=arguments.camera, lights=arguments.light,
+            progress=bar,
+        )  # fmt: skip
+    if arguments.json:
+        print(json.dumps({"out": str(arguments.out), **asdict(report)}))
+    else:
+        print(
+            f"{arguments.out}: {report.traversals:,} traversals ({report.kept:,} kept), {report.images:,} images,"
+            f" {report.bytes / 1e6:,.1f} MB fetched"
+        )
+    return ExitCode.DONE

@@ -134,7 +134,7 @@ class _Part:
         manifest = complete_manifest(folder)
         if manifest is not None and manifest.derived_from == self._mark:
             self.kept += 1
-            self._progress.advance(0 if manifest.pictures is None else manifest.pictures.count)
+            self._progress.advance(view.count("images"))
         else:
             shutil.rmtree(self._layout.traversal(traversal_id), ignore_errors=True)
             poses = view.table("ego_poses", EGO_POSES.schema.names)

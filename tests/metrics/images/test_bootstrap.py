@@ -187,3 +187,22 @@ def test_blocks_of_one_frame() -> None:
     assert frame_blocks(["a", "a", "b", "a"], np.array([3, 1, 2, 3]), 1).tolist() == [1, 0, 2, 1]
     with pytest.raises(UsageError, match="length > 0"):
         frame_blocks(["a"], np.array([0]), 0)
+
+
+def test_the_skewness_of_blocks_of_unequal_size_is_that_of_the_jackknife_of_their_means() -> None:
+    """Quantiles of BCa by its definition (Efron 1987), with the mean left out block by block."""
+    rng = np.random.default_rng(0)
+    counts = np.append(rng.integers(1, 4, 9), 400)
+    blocks = np.repeat(np.arange(10), counts)
+    scores = np.where(blocks == 9, 0.0, rng.exponential(5.0, len(blocks)))
+    options = {"resamples": 60_000, "confidence": 0.9}
+    found = mean_interval(scores, blocks, **options)
+    left = np.array([scores[blocks != block].mean() for block in range(10)])
+    skew = left.mean() - left
+    acceleration = (skew**3).sum() / (6.0 * (skew**2).sum() ** 1.5)
+    draws = np.random.default_rng(1).integers(0, 10, (60_000, 10))
+    sums = np.bincount(blocks, scores)
+    means = sums[draws].sum(axis=1) / counts[draws].sum(axis=1)
+    bias = stats.norm.ppf((means < scores.mean()).mean())
+    ends = [stats.norm.cdf(bias + (bias + z) / (1 - acceleration * (bias + z))) for z in stats.norm.ppf([0.05, 0.95])]
+    assert (found.low, found.high) == pytest.approx(np.quantile(means, ends), rel=0.05)

@@ -189,3 +189,15 @@ def test_large_and_small_images_are_fitted_alike():
     # The same pixels once and four times over have the same fit.
     small, whole = psnr_cc(render, truth), psnr_cc(large(render), large(truth))
     assert whole.db == pytest.approx(small.db, abs=1e-11) and whole.rank == small.rank
+
+
+def test_a_colour_at_the_bound_of_saturation_takes_part_in_the_fit() -> None:
+    """Half a step of 255 is the least colour that a fit sees: without these pixels it would be exact elsewhere."""
+    rng = np.random.default_rng(0)
+    render = rng.uniform(0.2, 0.8, (20, 20, 3))
+    truth = 0.5 * render + 0.1
+    render[:2] = 0.5 / 255.0
+    truth[:2] = 0.7
+    colours, expected, _ = corrected_by_lstsq(render, truth, None)
+    assert np.abs(colours - truth.reshape(-1, 3))[40:].max() > 1e-3
+    assert psnr_cc(render, truth, data_range=1.0).db == pytest.approx(expected, abs=1e-6)

@@ -104,3 +104,38 @@ def test_bad_areas_are_refused(rings: list[object]) -> None:
         drivable_area_compliance(state_log(TIMES, constant(0, 0, 0, 1.0, TIMES)), rings)
     with pytest.raises(UsageError, match="tolerance_m"):
         drivable_area_compliance(state_log(TIMES, constant(0, 0, 0, 1.0, TIMES)), [ROAD], tolerance_m=-1.0)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_straight_paths_between_posts_have_the_distance_that_shapely_gives(seed: int) -> None:
+    """Forty posts are several groups of segments; no coordinate is near 0; paths pass on every side of the posts."""
+    rng = np.random.default_rng(seed)
+    posts = [rng.uniform(100.0, 160.0, 2) + rng.uniform(0.05, 0.6, (3, 2)) for _ in range(40)]
+    ring = np.array([[80.0, 80.0], [180.0, 80.0], [180.0, 180.0], [80.0, 180.0]])
+    area = shapely.Polygon(ring).difference(shapely.union_all([shapely.Polygon(post) for post in posts]))
+    begin, end = rng.uniform(100.0, 160.0, (2, 2))
+    times = np.array([0.0, 1.0])
+    states = np.column_stack([[begin, end], np.zeros((2, 3))])
+    log = state_log(times, Actor(states, 1e-6, 1e-6))
+    found = drivable_area_compliance(log, [ring, *posts]).least_margin_m
+    way = shapely.LineString([begin, end])
+    clear = way.distance(area.boundary)
+    if clear > 0.0:
+        assert found == pytest.approx(clear, abs=1e-5)
+    else:
+        inside = shapely.points(np.linspace(begin, end, 20_001))
+        deepest = -shapely.distance(inside, area.boundary)[~shapely.contains(area, inside)].max(initial=0.0)
+        assert found == pytest.approx(deepest, abs=6e-3)
+
+
+def test_a_path_that_crosses_a_thin_wall_between_two_stamps_leaves_the_area() -> None:
+    """Both ends are inside and far from the wall, which the path crosses at every slope."""
+    ring = np.array([[80.0, 80.0], [180.0, 80.0], [180.0, 180.0], [80.0, 180.0]])
+    for slope in np.linspace(-3.0, 3.0, 13):
+        wall = np.array(
+            [[129.99, 130.0 - 20.0], [130.01, 130.0 - 20.0], [130.01, 130.0 + 20.0], [129.99, 130.0 + 20.0]]
+        )
+        states = np.array([[125.0, 130.0 - 5.0 * slope, 0, 0, 0], [135.0, 130.0 + 5.0 * slope, 0, 0, 0]], np.float64)
+        found = drivable_area_compliance(state_log(np.array([0.0, 1.0]), Actor(states, 1e-6, 1e-6)), [ring, wall])
+        assert found.margin_m.min() > 4.0
+        assert found.least_margin_m <= 1e-4, slope

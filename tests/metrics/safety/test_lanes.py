@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -11,7 +13,7 @@ from mirror.metrics.safety import find_red_lights, locate_on_lanes, score_rollou
 from mirror.metrics.safety.lanes import driven_while, ego_points, lanes_of_route
 from mirror.schema.road_map import MapLane, RoadMap
 from tests.metrics.safety.logs import Actor, constant, moved, random_log, state_log
-from tests.metrics.safety.streets import moved_map, rectangle_area, two_way_street, with_signal
+from tests.metrics.safety.streets import lane, moved_map, rectangle_area, two_way_street, with_signal
 
 TIMES = 0.1 * np.arange(51)
 GREEN, AMBER, RED, RED_AMBER = range(4)
@@ -68,6 +70,10 @@ def test_between_lanes_in_a_junction_and_oncoming() -> None:
         found = locate_on_lanes(state_log(TIMES, constant(0.0, y, yaw, 1.0, TIMES)), road_map)
         assert (found.between_lanes.all(), found.between_lanes.any()) == (between, between), y
         assert (found.is_oncoming.all(), found.is_oncoming.any()) == (oncoming, oncoming), y
+    # A lane of a junction that runs against the ego over the oncoming lane: no lane is oncoming there.
+    turn = lane("turn", (30.0, 3.5), (-30.0, 3.5), kind="turn")
+    crossed = replace(road_map, lanes={**road_map.lanes, "turn": turn})
+    assert not locate_on_lanes(state_log(TIMES, constant(0.0, 3.5, 0.0, 1.0, TIMES)), crossed).is_oncoming.any()
     # The rear axle is 1.4 m behind the centre and enters the junction at x = 101.
     found = locate_on_lanes(state_log(TIMES, constant(92.4, 0.0, 0.0, 10.0, TIMES)), road_map)
     np.testing.assert_array_equal(found.in_junction, (91.0 + 10.0 * TIMES >= 101.0 - 1e-9) & (91 + 10 * TIMES <= 130.0))

@@ -49,3 +49,8 @@ def test_the_frame_does_not_matter() -> None:
 def test_bad_routes_are_refused(route: list[list[float]]) -> None:
     with pytest.raises(UsageError, match="a route of"):
         route_progress(state_log(TIMES, constant(0, 0, 0, 1.0, TIMES)), route)
+
+
+def test_a_route_of_two_points_is_a_route() -> None:
+    log = state_log(TIMES, constant(0.0, 1.2, 0.0, 10.0, TIMES))
+    assert route_progress(log, [[-20.0, 0.0], [200.0, 0.0]]).progress_m == pytest.approx(50.0)

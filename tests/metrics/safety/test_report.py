@@ -61,6 +61,15 @@ def test_each_event_has_a_cause_and_an_instant() -> None:
     assert figures["pdms"].value == figures["epdms"].value == 0.0
 
 
+def test_the_impact_speed_is_that_of_the_hardest_collision() -> None:
+    ego = constant(0, 0.0, 0, 10.0, TIMES)
+    slow, standing = (constant(x, 0.0, 0, v, TIMES) for x, v in ((14.0, 7.0), (40.0, 0.0)))
+    figures = score_rollout(state_log(TIMES, ego, slow, standing)).figures
+    assert figures["collisions"].value == 2.0
+    assert figures["impact_speed"].value == pytest.approx(10.0)
+    assert figures["impact_speed"].cause == "agent2"
+
+
 def test_without_a_map_or_a_route_figures_say_why_they_have_no_value() -> None:
     log = state_log(TIMES, constant(0, 0, 0, 10.0, TIMES), constant(-10, 3, 0, 30.0, TIMES))
     figures = score_rollout(log).figures

@@ -20,6 +20,7 @@ OTHERS = {
     "golden": "what earlier versions wrote",
     "peers": "other toolkits that read our files, and what they read",
     "real": "real recordings, where they are",
+    "tutorials": "the commands and the code of the pages of docs that are tutorials",
     "recordings/formats": "writers of the formats that are read",
     "mvs/learned/architectures": "listings of published networks",
 }

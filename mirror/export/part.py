@@ -37,7 +37,7 @@ _SUFFIX: Final = {"jpeg": "jpg", "png": "png"}
 
 
 @dataclass(frozen=True)
-class PartReport:
+class FetchedPart:
     """The result of fetching a part.
 
     Attributes:
@@ -61,7 +61,7 @@ def fetch_part(
     cameras: Sequence[str] = (),
     lights: Sequence[str] = (),
     progress: ProgressReporter | None = None,
-) -> PartReport:
+) -> FetchedPart:
     """Bring a part of a dataset to this machine, as a dataset of its own. Repeated, an interrupted call continues.
 
     Images that a redaction replaced come redacted, as images of the recording; those that a published dataset withholds
@@ -108,7 +108,7 @@ def fetch_part(
         for drive_id in view.drives():
             part.fetch_drive(drive_id, frozenset(names))
         build_index(out, compact=True)
-    return PartReport(len(names), part.kept, open_dataset(out).count("images"), part.bytes)
+    return FetchedPart(len(names), part.kept, open_dataset(out).count("images"), part.bytes)
 
 
 class _Part:

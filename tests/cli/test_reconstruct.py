@@ -354,10 +354,14 @@ def test_blocks_train_on_several_devices_as_on_one(
         place = words.index("--device")
         del words[place : place + 2]
     several = said(capsys, *words, "--devices", "cpu,cpu")
+    apart = said(capsys, *words[: words.index("--out") + 1], tmp_path / "apart", *words[words.index("--out") + 2 :],
+                 "--executor", "processes", "--workers", 2)  # fmt: skip
+    assert apart["blocks"] == one["blocks"]
     assert len(one["blocks"]) > 1 and several["blocks"] == one["blocks"] and several["steps"] == one["steps"]
     for name in one["blocks"]:
         model = f"{name}/model.safetensors"
-        assert (tmp_path / "one" / model).read_bytes() == (tmp_path / "several" / model).read_bytes()
+        trained = {(tmp_path / folder / model).read_bytes() for folder in ("one", "several", "apart")}
+        assert len(trained) == 1
     refused = said(capsys, *words, "--devices", "cpu,cpu", "--device", "cpu", code=ExitCode.COULD_NOT_RUN)
     assert "exclude each other" in refused["problem"]
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 import os
 import sys
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,9 @@ from mirror.ingest.request import IngestOptions
 from mirror.ingest.rois import read_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
+from mirror.privacy.run import deidentify
 from tests.executors.ray_clusters import open_cluster
+from tests.privacy.conftest import options as marks_options
 
 HOOKED = "tests/ingest/hooks.py:HookedReader"
 WHERE = "tests/annotation/where.py:ANNOTATOR"
@@ -46,12 +50,39 @@ def main(folder: Path) -> None:
         executor = ExecutorChoice("ray", resources={"model": 1.0})
         said["annotated"] = len(annotate(dataset, choice.open(dataset), executor=executor, choice=choice).written)
         said["model_nodes"] = [node["NodeID"] for node in ray.nodes() if "model" in node["Resources"]]
+        marks = replace(marks_options(), executor=ExecutorChoice("ray"))
+        said["deidentified"] = len(deidentify(folder / "faces", marks).written)
+        said["listening"] = list_open_servers()
         try:
             ExecutorChoice("ray", resources={"GPU": 1.0}).open()
         except MirrorError as error:
             said["refused"] = str(error)
     said["cpu_s"] = sum(os.times()[:4])
     print(json.dumps(said))
+
+
+def list_open_servers() -> list[str]:
+    """List the ports of the processes of this run that listen on more than the loopback address."""
+    sockets = set()
+    token = f"RAY_AUTH_TOKEN={os.environ['RAY_AUTH_TOKEN']}".encode()
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if token in (process / "environ").read_bytes().split(b"\0"):
+                for handle in (process / "fd").iterdir():
+                    with suppress(OSError):
+                        sockets.add(str(handle.readlink()))
+    found = []
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for row in Path(table).read_text().splitlines()[1:]:
+            fields = row.split()
+            # 0A: it listens. The last four bytes of an address, in reverse order, end with 7F for 127.0.0.1.
+            if (
+                fields[3] == "0A"
+                and f"socket:[{fields[9]}]" in sockets
+                and not fields[1].split(":")[0].endswith("0100007F")
+            ):
+                found.append(fields[1])
+    return found
 
 
 if __name__ == "__main__":

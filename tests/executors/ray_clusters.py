@@ -23,7 +23,7 @@ def cluster_environment(home: Path) -> dict[str, str]:
         "RAY_memory_monitor_refresh_ms": "0",
         # Otherwise 15: on a busy machine a test would wait for minutes.
         "RAY_worker_niceness": "0",
-        "PYTHONPATH": str(Path(__file__).parents[2]),
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]),
     }
 
 
@@ -45,6 +45,8 @@ def open_cluster(home: Path, *nodes: dict[str, Any]) -> Iterator[Any]:
         for number, node in enumerate(nodes):
             head: dict[str, Any] = {"include_dashboard": False} if number == 0 else {}
             cluster.add_node(object_store_memory=100 << 20, wait=True, **head, **node)
+        # It prints pages on standard output for each worker and node that ends.
+        vars(ray._private.worker)["_worker_logs_enabled"] = False
         ray.init(address=cluster.address, log_to_driver=False, logging_level="ERROR")
         yield cluster
     finally:

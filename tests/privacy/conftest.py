@@ -66,10 +66,8 @@ FAILING = DetectorKind("face", "red marks", lambda options: Marks("face", (255, 
 '''
 
 
-@pytest.fixture(scope="session", autouse=True)
-def marks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Install the package for the tests of this folder, as a user would install one with a detector."""
-    folder = tmp_path_factory.mktemp("site")
+def install_marks(folder: Path) -> None:
+    """Install the package into a folder of packages, as a user would install one with a detector."""
     (folder / "mark_detectors.py").write_text(_MODULE)
     info = folder / "mark_detectors-1.0.dist-info"
     info.mkdir()
@@ -77,6 +75,13 @@ def marks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     names = ("faces", "plates", "tiled", "crashing", "hanging", "failing")
     lines = "".join(f"{name} = mark_detectors:{name.upper()}\n" for name in names)
     (info / "entry_points.txt").write_text(f"[mirror.detectors]\n{lines}")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def marks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Install the package for the tests of this folder."""
+    folder = tmp_path_factory.mktemp("site")
+    install_marks(folder)
     sys.path.insert(0, str(folder))
     yield
     sys.path.remove(str(folder))

@@ -23,8 +23,13 @@ _DIGIT: Final = 11
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bounding_spheres(faces: Records, corners: Float64, rounds: Records) -> Float64:
-    """Return bounding spheres (F + R, 4) of the faces and ellipsoids: centre and radius."""
-    out = np.empty((len(faces) + len(rounds), 4))
+    """Return what `find_facing` reads of the faces and ellipsoids, in one line of the processor's cache each.
+
+    Returns:
+        (F + R, 9) centre and radius of a bounding sphere; normal and offset of a face, 0 and -1 of an ellipsoid, which
+        faces every camera; number of rows of `fill_ray_tests`, negative if the surface has two sides.
+    """
+    out = np.empty((len(faces) + len(rounds), 9))
     for index in range(len(faces)):
         first, count = faces[index].first, faces[index].count
         x, y, z = 0.0, 0.0, 0.0
@@ -36,10 +41,19 @@ def bounding_spheres(faces: Records, corners: Float64, rounds: Records) -> Float
             dx, dy, dz = corners[corner, 0] - x, corners[corner, 1] - y, corners[corner, 2] - z
             most = max(most, dx * dx + dy * dy + dz * dz)
         out[index, 0], out[index, 1], out[index, 2], out[index, 3] = x, y, z, math.sqrt(most)
+        face = faces[index]
+        out[index, 4], out[index, 5], out[index, 6], out[index, 7] = (
+            face.normal_0,
+            face.normal_1,
+            face.normal_2,
+            face.offset,
+        )
+        out[index, 8] = -(1.0 + count) if face.two_sided else 1.0 + count
     for index in range(len(rounds)):
         ellipsoid, at = rounds[index], len(faces) + index
         out[at, 0], out[at, 1], out[at, 2] = ellipsoid.centre_0, ellipsoid.centre_1, ellipsoid.centre_2
         out[at, 3] = max(ellipsoid.half_0, ellipsoid.half_1, ellipsoid.half_2)
+        out[at, 4], out[at, 5], out[at, 6], out[at, 7], out[at, 8] = 0.0, 0.0, 0.0, -1.0, 3.0
     return out
 
 
@@ -81,15 +95,12 @@ def find_facing(
     turned = _rotate_cones(cones[first : first + count], rotation)
     used = 0
     for index in range(len(spheres)):
-        rows = 3
-        if index < len(faces):
-            face = faces[index]
-            if not ground and face.label <= Label.TERRAIN:
-                continue
-            out = face.normal_0 * x + face.normal_1 * y + face.normal_2 * z - face.offset
-            if abs(out) < 1e-7 or (out < 0.0 and not face.two_sided):
-                continue
-            rows = 1 + face.count
+        rows = spheres[index, 8]
+        if not ground and index < len(faces) and faces[index].label <= Label.TERRAIN:
+            continue
+        out = spheres[index, 4] * x + spheres[index, 5] * y + spheres[index, 6] * z - spheres[index, 7]
+        if abs(out) < 1e-7 or (out < 0.0 and rows > 0.0):
+            continue
         dx, dy, dz = spheres[index, 0] - x, spheres[index, 1] - y, spheres[index, 2] - z
         far = math.sqrt(dx * dx + dy * dy + dz * dz)
         if spheres[index, 3] < least_rad * far:
@@ -107,7 +118,7 @@ def find_facing(
         else:
             dx, dy, dz = 0.0, 0.0, 0.0
         found[used, 0], found[used, 1], found[used, 2], found[used, 3], found[used, 4] = dx, dy, dz, cosine, sine
-        chosen[used], distances[used], needed[used] = index, max(far - spheres[index, 3], 0.0), rows
+        chosen[used], distances[used], needed[used] = index, max(far - spheres[index, 3], 0.0), int(abs(rows))
         used += 1
     places = _sort_places(distances, used)
     order, nearest, starts = np.empty(used, np.int64), np.empty(used, np.float32), np.zeros(used + 1, np.int64)

@@ -20,7 +20,7 @@ class SurfaceBuffer:
 
     def __init__(self) -> None:
         self._fixed: Model | None = None
-        self._spheres: Float64 = np.zeros((0, 4))
+        self._spheres: Float64 = np.zeros((0, 9))
         self._room = (0, 0, 0)
         self._lit: Int64 = np.zeros(0, np.int64)
 
@@ -29,7 +29,7 @@ class SurfaceBuffer:
 
         Args:
             fixed: the fixed surfaces.
-            spheres: (F + R, 4) their bounding spheres.
+            spheres: (F + R, 9) their bounding spheres.
             moving: the surfaces that move.
             lit: fixed faces, of traffic lights, that are lit.
 
@@ -65,5 +65,5 @@ class SurfaceBuffer:
         self._faces: Records = join_parts([fixed.faces, np.zeros(room[0], FACE)])
         self._corners = np.concatenate([fixed.corners, np.zeros((room[1], 3))])
         self._rounds: Records = join_parts([fixed.rounds, np.zeros(room[2], ROUND)])
-        self._spheres = np.concatenate([spheres, np.zeros((room[0] + room[2], 4))])
+        self._spheres = np.concatenate([spheres, np.zeros((room[0] + room[2], spheres.shape[1]))])
         self._lit = np.zeros(0, np.int64)

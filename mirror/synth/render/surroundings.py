@@ -36,7 +36,7 @@ class Surroundings(NamedTuple):
         faces: (F,) FACE, flat.
         corners: (C, 3).
         rounds: (R,) ROUND, flat.
-        spheres: (F + R, 4) from `binning.bounding_spheres`.
+        spheres: (F + R, 9) from `binning.bounding_spheres`.
         static_shadow: shadow map of what never moves.
         moving_shadow: shadow map of moving road users and the recording vehicle.
         lamps: (rows, columns) over the ground: light of the street lamps.

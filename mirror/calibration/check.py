@@ -29,7 +29,7 @@ from mirror.schema.files import write_bytes
 from mirror.schema.finished_work import hash_values
 from mirror.schema.strict_json import decode_json
 
-METHOD: Final = "joint epipolar estimate, 3"
+METHOD: Final = "joint epipolar estimate, 4"
 
 
 @dataclass(frozen=True)

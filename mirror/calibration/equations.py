@@ -321,7 +321,8 @@ class JointProblem:
         np.add.at(information, (columns[:, :, None], columns[:, None, :]), blocks)
         np.add.at(gradient, columns, gradients)
         cost = float(0.5 * np.log1p(square).sum() + 0.5 * unknowns @ self.prior_information @ unknowns)
-        return Linearised(information, gradient, cost if np.isfinite(cost) else np.inf, gradients, columns, residual)
+        cost = cost if np.isfinite(cost) else np.inf
+        return Linearised(information, gradient, cost, gradients, blocks, columns, residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,6 +334,7 @@ class Linearised:
         gradient: (P,) derivatives of the cost.
         cost: negative logarithm of the posterior density.
         gradients: (K, 20) part of the gradient of each of K pairs of images; 23 columns with unknown times.
+        blocks: (K, 20, 20) their parts of the information.
         columns: (K, 20) positions of these parts among the unknowns.
         residual: (M,) distances from the epipolar lines, pixels.
     """
@@ -341,6 +343,7 @@ class Linearised:
     gradient: Float64
     cost: float
     gradients: Float64
+    blocks: Float64
     columns: Int64
     residual: Float64
 

@@ -12,7 +12,7 @@ from mirror.calibration.equations import JointProblem
 from mirror.calibration.estimate import TRACKER_BIAS_PX, near_rig
 from mirror.calibration.rig import PosePrior, ScalePrior, TimePrior, TrackedRig
 from mirror.calibration.tracking import pixel_rad
-from mirror.calibration.uncertainty import Uncertainty
+from mirror.calibration.uncertainty import jackknife_variance
 from mirror.geometry.rolling_shutter import ShutterDirection
 
 KNOWN_MS: Final = 2.0
@@ -86,13 +86,13 @@ def estimate_shutters(
     if near.pairs:
         solution = JointProblem(near, prior, scales, times=times).solve()
     problem = solution.problem
-    covariance = Uncertainty(solution).covariance
+    variance = jackknife_variance(solution)
     out = []
     for number, name in enumerate(rig.names):
         columns = problem.time_columns[number]
         values = problem.declared_times[number] + solution.unknowns[columns]
         bias_s = _tracker_bias_s(rig, name)
-        sigma = np.sqrt(np.diagonal(covariance)[columns] + bias_s**2)
+        sigma = np.sqrt(variance[columns] + bias_s**2)
         out.append(_describe(rig, name, 1e3 * values, 1e3 * sigma))
     return out
 

@@ -70,3 +70,21 @@ class Uncertainty:
             "length of the way": np.array([problem.size - 1]),
             MOTION: mounts[:, :3].ravel(),
         }
+
+
+def jackknife_variance(solution: Solution) -> Float64:
+    """Return the variances (P,) of the unknowns over solutions that each leave out one pair of images, and the priors.
+
+    `Uncertainty` has the first order of this. It is too small for an unknown that few pairs show: these pairs move the
+    solution towards themselves, and what is left over of their scatter is small.
+    """
+    state, prior = solution.state, solution.problem.prior_information
+    inverse = np.linalg.inv(state.information)
+    moved = np.empty((len(state.gradients), len(solution.unknowns)))
+    for pair, (columns, gradient, block) in enumerate(zip(state.columns, state.gradients, state.blocks, strict=True)):
+        without = state.information.copy()
+        without[np.ix_(columns, columns)] -= block
+        score = np.zeros(len(solution.unknowns))
+        score[columns] = gradient
+        moved[pair] = np.linalg.solve(without, score)
+    return np.asarray((moved**2).sum(axis=0) + ((inverse @ prior) * inverse).sum(axis=1))

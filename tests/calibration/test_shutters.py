@@ -108,8 +108,26 @@ def test_readout_direction_and_offset_are_found(rig: TrackedRig, noise_px: float
             readout_error, offset_error = abs(one.readout_ms - 1e-6 * true.readout_ns), abs(one.offset_ms - 6.0)
             assert offset_error < 1.0 and one.offset_known
             assert readout_error < (3.0 * one.readout_sigma_ms if noise_px else 0.3)
-            assert one.readout_sigma_ms < 3.0
+            assert one.readout_sigma_ms < 4.0
             assert (one.problem is None) == bool(declared)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_intervals_cover_where_a_camera_hardly_shows_its_readout(seed: int) -> None:
+    """The camera on the right: with these seeds its readout is 8.1 and 2.4 ms from the truth."""
+    rng, exact = np.random.default_rng(seed), rolling_rig(TRUE, offset_ms=6.0, noise_px=0.0)
+    pairs = [
+        replace(
+            pair,
+            first_px=pair.first_px + rng.normal(0.0, 0.15, pair.first_px.shape),
+            second_px=pair.second_px + rng.normal(0.0, 0.15, pair.second_px.shape),
+        )
+        for pair in exact.pairs
+    ]
+    for one in estimate_shutters(replace(exact, pairs=pairs, shutters=TRUE)):
+        assert abs(one.readout_ms - 1e-6 * TRUE[one.camera].readout_ns) < 3.0 * one.readout_sigma_ms
+        assert abs(one.offset_ms - 6.0) < 3.0 * one.offset_sigma_ms
+        assert one.problem is None
 
 
 def test_a_wrong_declaration_is_named(rig: TrackedRig) -> None:

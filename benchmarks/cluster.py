@@ -184,7 +184,7 @@ def _send(kind: Kind, executor: Executor, count: int) -> None:
     warm = executor.map(job, range(200))
     for _ in warm:
         pass
-    cpu_s, total, peaks = time.process_time(), 0, []
+    cpu_s, total, sizes_mb = time.process_time(), 0, []
     start = time.perf_counter()
     answers = executor.map(job, items())
     for done, (_, answer) in enumerate(answers):
@@ -192,15 +192,19 @@ def _send(kind: Kind, executor: Executor, count: int) -> None:
             answer.raise_error(kind, "none")
         total += answer
         if done % max(count // 10, 1) == 0:
-            peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+            sizes_mb.append(_resident_mb())
     cpu_ms = 1e3 * (time.process_time() - cpu_s) / count
-    grown = peaks[-1] - peaks[1]
+    grown_mb = max(sizes_mb[1:]) - sizes_mb[1]
     _print(
         f"engine {kind}", count, time.perf_counter() - start,
-        f"{cpu_ms:.2f} CPU-ms an item in the driver; peak memory {peaks[-1]:.0f} MB, {grown:+.1f} MB after a tenth",
+        f"{cpu_ms:.2f} CPU-ms an item in the driver; its memory: {sizes_mb[1]:.0f} MB, then {grown_mb:+.1f} MB",
     )  # fmt: skip
     if total != count * (count - 1):
         raise DatasetError(f"{kind}: a wrong sum")
+
+
+def _resident_mb() -> float:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def _engine(folder: Path, items: int) -> None:

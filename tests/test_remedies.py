@@ -27,13 +27,14 @@ FILLED: Final = "\0"
 
 OF_OTHER_PROGRAMS: Final = {
     "mirror/installation.py": {"--upgrade"},
+    "mirror/executors/ray_cluster.py": {"--head", "--num-cpus", "--num-gpus", "--resources"},
     "mirror/weights/resolve.py": {"--no-deps"},
     "mirror/weights/wheels.py": {"--no-deps", "--dest"},
     "baselines/hybridworldsim/training/run/processes.py": {"--nproc-per-node"},
     "baselines/hybridworldsim/generation/clips/folder.py": {"--out"},
     "baselines/hybridworldsim/generation/training/windows.py": {"--map"},
 }
-"""Options of pip, torchrun and `python -m benchmarks`."""
+"""Options of pip, Ray, torchrun and `python -m benchmarks`."""
 
 ONLY_FROM_PYTHON: Final = {
     "mirror/geometry/poses.py",
@@ -52,6 +53,8 @@ ONLY_FROM_PYTHON: Final = {
 RAISED_BY: Final = {
     "mirror/addresses.py": ("view", "serve"),
     "mirror/command_line.py": ("annotate", "reconstruct"),
+    "mirror/executors/": ("ingest", "annotate", "deidentify", "reconstruct", "generate clips"),
+    "mirror/cli/reconstruct.py": ("reconstruct",),
     "mirror/cli/compile.py": ("compile",),
     "mirror/cli/ingest.py": ("ingest", "rois propose"),
     "mirror/cli/layers.py": ("view", "reconstruct", "export colmap"),

@@ -20,6 +20,8 @@ _CACHE_BYTES: Final = 1 << 29
 _MAX_OVERSIZE: Final = 2
 
 _blocks: list[AnyArray] = []
+_lengths: list[int] = []
+"""Bytes of each block."""
 _lock: Final = Lock()
 
 
@@ -39,27 +41,32 @@ def full_aligned(count: int, value: float, dtype: Any = np.float32) -> AnyArray:
 
 
 def _take_block(size: int) -> AnyArray:
-    """Take an unused block of at least ``size`` bytes: a kept block, or a new one."""
+    """Take an unused block of at least ``size`` bytes: the smallest kept block that fits, or a new one."""
     with _lock:
-        unused = [
-            block for block, references in zip(_blocks, _reference_counts(_blocks)) if references <= _UNUSED_REFERENCES
-        ]
-        fits = [block for block in unused if size <= len(block) <= _MAX_OVERSIZE * size]
-        if fits:
-            return min(fits, key=len)
+        best = -1
+        for number, length in enumerate(_lengths):
+            if size <= length <= _MAX_OVERSIZE * size and (best < 0 or length < _lengths[best]):
+                # Counted for blocks of this size only: every step takes some hundred blocks.
+                best = number if _count_references(_blocks, number) <= _UNUSED_REFERENCES else best
+        if best >= 0:
+            return _blocks[best]
         block = np.empty(size + size // 8, np.uint8)
-        while unused and sum(map(len, _blocks)) + len(block) > _CACHE_BYTES:
-            oldest = unused.pop(0)
-            _blocks[:] = [other for other in _blocks if other is not oldest]
-        if sum(map(len, _blocks)) + len(block) <= _CACHE_BYTES:
+        number = 0
+        while number < len(_blocks) and sum(_lengths) + len(block) > _CACHE_BYTES:
+            if _count_references(_blocks, number) <= _UNUSED_REFERENCES:
+                del _blocks[number], _lengths[number]
+            else:
+                number += 1
+        if sum(_lengths) + len(block) <= _CACHE_BYTES:
             _blocks.append(block)
+            _lengths.append(len(block))
         return block
 
 
-def _reference_counts(blocks: list[AnyArray]) -> list[int]:
-    """Count the references to each block."""
-    return [sys.getrefcount(block) for block in blocks]
+def _count_references(blocks: list[AnyArray], number: int) -> int:
+    """Count the references to a block."""
+    return sys.getrefcount(blocks[number])
 
 
-_UNUSED_REFERENCES: Final = _reference_counts([np.empty(1, np.uint8)])[0]
+_UNUSED_REFERENCES: Final = _count_references([np.empty(1, np.uint8)], 0)
 """Number of references to a block that only the list refers to."""

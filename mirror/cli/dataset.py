@@ -1,4 +1,4 @@
-"""``mirror dataset publish|migrate DATASET``, ``mirror dataset fetch URL`` and ``mirror dataset audit PUBLISHED``."""
+"""``mirror dataset publish|migrate|gc DATASET``, ``mirror dataset fetch URL``, ``mirror dataset audit PUBLISHED``."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import tyro
 
 from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
+from mirror.counting import count_of
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -27,6 +28,10 @@ _FETCH_EXAMPLES = (
     "mirror dataset fetch s3://fleet/street --camera front_wide --light night --out nights --json",
 )
 _MIGRATE_EXAMPLES = ("mirror dataset migrate demo/dataset", "mirror dataset migrate demo/dataset --json")
+_GC_EXAMPLES = (
+    "mirror dataset gc demo/dataset --dry-run",
+    "mirror dataset gc demo/dataset --older-than-days 30 --json",
+)
 _AUDIT_EXAMPLES = (
     "mirror dataset audit published --against demo/dataset",
     "mirror dataset audit https://example.org/street --against demo/dataset --json",
@@ -134,12 +139,32 @@ class Migrate:
     """Print JSON."""
 
 
+@dataclass(frozen=True)
+class Gc:
+    """Remove what no reader can reach: old snapshots, index segments that none names, traversals that no drive names.
+
+    The newest snapshot stays, and each that a process of this machine has open. Drives and images of drives stay.
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    older_than_days: float = 7.0
+    """Keep what was changed within so many days: a run on another machine may be about to name it."""
+    dry_run: bool = False
+    """Print what would be removed. Nothing is removed."""
+    wait: bool = False
+    """Wait until no other run writes the dataset. Without it, a dataset that is being written is an error."""
+    json: bool = False
+    """Print JSON."""
+
+
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     subcommands = {
         "publish": Subcommand("write a bundle without held-out images", _publish),
         "fetch": Subcommand("fetch a bundle and verify it", _fetch),
         "migrate": Subcommand("bring a dataset of an earlier version up to date", _migrate),
+        "gc": Subcommand("remove old snapshots, and what nothing names", _gc),
         "audit": Subcommand("hold what is published against its dataset", _audit),
     }
     return run_subcommand(argv, "mirror dataset", subcommands)
@@ -206,6 +231,28 @@ def _migrate(argv: Sequence[str]) -> int:
         print(f"{arguments.dataset}: version {report.before}, nothing to do")
     else:
         print(f"{arguments.dataset}: version {report.before} -> {DATASET_VERSION}, snapshot {report.index.snapshot}")
+    return ExitCode.DONE
+
+
+def _gc(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Gc, argv, "mirror dataset gc", examples=_GC_EXAMPLES)
+
+    from dataclasses import asdict
+
+    from mirror.dataset.garbage import collect_garbage
+    from mirror.errors import UsageError
+
+    if not arguments.older_than_days >= 0.0:
+        raise UsageError(f"{arguments.older_than_days}", place="--older-than-days", expected="0 or more")
+    age_s = arguments.older_than_days * 86400.0
+    report = collect_garbage(arguments.dataset, age_s=age_s, dry_run=arguments.dry_run, wait=arguments.wait)
+    if arguments.json:
+        print(json.dumps({**asdict(report), "dry_run": arguments.dry_run}))
+        return ExitCode.DONE
+    numbers = {"snapshot": report.snapshots, "segment": report.segments, "traversal": report.traversals}
+    counts = ", ".join(count_of(len(found), name) for name, found in numbers.items())
+    verb = "would be removed" if arguments.dry_run else "removed"
+    print(f"{arguments.dataset}: {counts}, {report.bytes / 1e6:,.1f} MB {verb}")
     return ExitCode.DONE
 
 

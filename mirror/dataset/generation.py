@@ -186,7 +186,7 @@ def release(layout: Layout) -> None:
         if (
             name == current
             or not name.isdigit()
-            or not any(_has_readers(layout, number, layer) for number in numbers if number <= int(name))
+            or not any(has_readers(layout, number, layer) for number in numbers if number <= int(name))
         ):
             _remove(layout, layer)
     for unfinished in (layout.root / FOLDER).glob(".*"):
@@ -250,8 +250,8 @@ def _current_layer(layout: Layout) -> Path:
     return layer
 
 
-def _has_readers(layout: Layout, number: int, layer: Path) -> bool:
-    """Return whether a reader has locked a snapshot."""
+def has_readers(layout: Layout, number: int, layer: Path) -> bool:
+    """Return whether a reader has locked a snapshot; without locks, whether a file changed within the last day."""
     try:
         with (layout.root / snapshot_path(number)).open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

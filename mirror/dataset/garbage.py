@@ -35,7 +35,7 @@ _TRAVERSAL: Final = "traversal:"
 
 @dataclass(frozen=True)
 class GarbageReport:
-    """What was removed, or would be.
+    """Report of a removal: what was removed, or would be.
 
     Attributes:
         snapshots: numbers of snapshots.

@@ -30,7 +30,7 @@ from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
 from tests.builders.folder import SCENE, START_NS, compact_tree, tree, write_recording
-from tests.executors.ray_clusters import cluster_environment, open_cluster
+from tests.executors.ray_clusters import cluster_cpu_s, cluster_environment, open_cluster
 from tests.ingest import hooks
 
 PUTS: Final = (
@@ -211,23 +211,9 @@ def _engine(folder: Path, items: int) -> None:
     with ExecutorChoice("processes", 2).open() as executor:
         _send("processes", executor, items)
     with open_cluster(folder / "home", {"num_cpus": 2}), ExecutorChoice("ray").open() as executor:
-        before = _cluster_cpu_s()
+        before = cluster_cpu_s()
         _send("ray", executor, items)
-        _print("  of which all", items, 0.0, f"{1e3 * (_cluster_cpu_s() - before) / items:.2f} CPU-ms an item")
-
-
-def _cluster_cpu_s() -> float:
-    """Return the processor time of this process and of all processes below it and of its cluster."""
-    token = f"RAY_AUTH_TOKEN={os.environ['RAY_AUTH_TOKEN']}".encode()
-    ticks = 0
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            if token in (process / "environ").read_bytes().split(b"\0") or process.name == str(os.getpid()):
-                fields = (process / "stat").read_text().rpartition(")")[2].split()
-                ticks += int(fields[11]) + int(fields[12])
-        except OSError:
-            continue
-    return ticks / os.sysconf("SC_CLK_TCK")
+        _print("  of which all", items, 0.0, f"{1e3 * (cluster_cpu_s() - before) / items:.2f} CPU-ms an item")
 
 
 def _print(name: str, size: int, wall_s: float, found: str) -> None:

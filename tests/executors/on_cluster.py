@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from contextlib import suppress
 from dataclasses import replace
@@ -24,7 +23,7 @@ from mirror.ingest.rois import read_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
 from mirror.privacy.run import deidentify
-from tests.executors.ray_clusters import open_cluster
+from tests.executors.ray_clusters import cluster_cpu_s, cluster_processes, open_cluster
 from tests.privacy.conftest import options as marks_options
 
 HOOKED = "tests/ingest/hooks.py:HookedReader"
@@ -53,24 +52,22 @@ def main(folder: Path) -> None:
         marks = replace(marks_options(), executor=ExecutorChoice("ray"))
         said["deidentified"] = len(deidentify(folder / "faces", marks).written)
         said["listening"] = list_open_servers()
+        said["cpu_s"] = cluster_cpu_s()
         try:
             ExecutorChoice("ray", resources={"GPU": 1.0}).open()
         except MirrorError as error:
             said["refused"] = str(error)
-    said["cpu_s"] = sum(os.times()[:4])
     print(json.dumps(said))
 
 
 def list_open_servers() -> list[str]:
     """List the ports of the processes of this run that listen on more than the loopback address."""
     sockets = set()
-    token = f"RAY_AUTH_TOKEN={os.environ['RAY_AUTH_TOKEN']}".encode()
-    for process in Path("/proc").glob("[0-9]*"):
+    for process in cluster_processes():
         with suppress(OSError):
-            if token in (process / "environ").read_bytes().split(b"\0"):
-                for handle in (process / "fd").iterdir():
-                    with suppress(OSError):
-                        sockets.add(str(handle.readlink()))
+            for handle in (process / "fd").iterdir():
+                with suppress(OSError):
+                    sockets.add(str(handle.readlink()))
     found = []
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for row in Path(table).read_text().splitlines()[1:]:

@@ -6,7 +6,7 @@ import os
 import secrets
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,3 +52,30 @@ def open_cluster(home: Path, *nodes: dict[str, Any]) -> Iterator[Any]:
     finally:
         ray.shutdown()
         cluster.shutdown()
+
+
+def cluster_processes() -> list[Path]:
+    """Folders in /proc of this process and of all below it: those of its cluster."""
+    parents: dict[str, str] = {}
+    for process in Path("/proc").glob("[0-9]*"):
+        # A process may end while it is read.
+        with suppress(OSError):
+            parents[process.name] = _status(process)[1]
+    mine = {str(os.getpid())}
+    while more := {name for name, parent in parents.items() if parent in mine} - mine:
+        mine |= more
+    return [Path("/proc", name) for name in sorted(mine)]
+
+
+def cluster_cpu_s() -> float:
+    """Processor time of this process and its cluster, and of what of both has ended and was waited for."""
+    ticks = 0
+    for process in cluster_processes():
+        with suppress(OSError):
+            ticks += sum(map(int, _status(process)[11:15]))
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _status(process: Path) -> list[str]:
+    """The fields of a process's status after its name."""
+    return (process / "stat").read_text().rpartition(")")[2].split()

@@ -67,6 +67,7 @@ def test_three_nodes_make_the_same_bytes(tmp_path: Path, monkeypatch: pytest.Mon
     assert done.returncode == 0, done.stderr
     # Ray says among it that a worker ended.
     said = json.loads(done.stdout.splitlines()[-1])
+    print(f"{said['cpu_s']:.1f} CPU-s in the cluster")
     assert said["dead_letters"] == [["drive_6", "crashed", 3]]
     assert (fleet / "drive_0.0.killed").exists()
     ingested = {name: sha256 for name, sha256 in tree(tmp_path / "ingested").items() if "failures" not in name}

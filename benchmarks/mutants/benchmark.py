@@ -80,7 +80,7 @@ _BAR: Final = 0.9
 # A test may take ten times as long as without a mutant, plus the first time; plus the second where kernels compile.
 _PATIENCE_S: Final = 10.0
 _COMPILING_S: Final = 90.0
-_FIRST_LIMIT_S: Final = 30.0
+_FIRST_LIMIT_S: Final = 120.0
 # Tests of speed fail on a busy machine.
 _WORDS: Final = ("-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist", "--hypothesis-seed=0",
                  "-p", "benchmarks.mutants.plugin", "-k", "not fast_enough")  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from hybridworldsim.simulator.renderers.agent_layer import AgentLayer
 from hybridworldsim.simulator.renderers.compositing import add_contact_shadows
 from hybridworldsim.simulator.renderers.exact import ExactRenderer
 from hybridworldsim.simulator.renderers.protocol import ego_pose, ego_poses, rig_cameras
+from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
 from hybridworldsim.simulator.renderers.rolling import cut_bands, line_times, make_shutter, poses_at, reads_columns
 from hybridworldsim.simulator.street.of_synth import street_of_drive
 from hybridworldsim.simulator.street.street import Street
@@ -25,7 +27,9 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.geometry import matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 from mirror.geometry.rolling_shutter import RollingShutter
-from mirror.protocols.views.view import ViewShutter
+from mirror.methods.capabilities import Capabilities
+from mirror.methods.model import ModelRenderer
+from mirror.protocols.views.view import RenderView, ViewShutter
 from mirror.schema.scenario import Scenario
 from mirror.synth import Effects, make_drives
 from mirror.synth.light.condition import Condition
@@ -33,6 +37,7 @@ from mirror.synth.light.sun import instant_of
 from mirror.synth.rigs import CameraReadout
 from tests.simulator.served import car_at, pair, request, sensor_pose, service
 from tests.simulator.streets import straight_street
+from tests.simulator.test_generated import Drawn
 from tests.simulator.test_serve import is_car, pixels
 
 READOUT_S = 0.04
@@ -261,3 +266,51 @@ def test_poses_of_lines_are_between_those_of_the_ends() -> None:
     between = poses_at(shutter, offsets)
     # a bend and an acceleration are not on the straight line
     assert np.abs((between.inverse() @ exact).log()).max() < 2e-3
+
+
+class FarStreet:
+    """A model of a grey street 200 m away, which keeps the shutters of the views that it renders."""
+
+    def __init__(self) -> None:
+        self.seen: list[ViewShutter | None] = []
+
+    def __call__(self, view: RenderView) -> np.ndarray:
+        return np.round(255.0 * self.render(view).rgb).astype(np.uint8)
+
+    def render(self, view: RenderView) -> Drawn:
+        self.seen.append(view.shutter)
+        shape = (view.height_px, view.width_px)
+        return Drawn(
+            np.full((*shape, 3), 0.4, np.float32), np.ones(shape, np.float32), np.full(shape, 200.0, np.float32)
+        )
+
+
+@pytest.mark.parametrize("direction", ["bottom_to_top", "left_to_right"])
+def test_agents_of_a_model_are_composed_by_line(direction: str) -> None:
+    street, body = straight_street(), draw_body("car", "seven", 0)
+    shutter = RollingShutter(direction, round(1e9 * READOUT_S), 96, 54)  # type: ignore[arg-type]
+    rig = {name: replace(camera, shutter=shutter) for name, camera in street.rig.items()}
+    street = replace(street, rig=rig)
+    agent = Agent("seven", "car", body.size_m, body)
+    states = AgentStates(
+        np.array([59.0]), np.array([1.0]), np.array([0.4]), np.array([-8.0]), np.array([-9.0]), np.zeros(1),
+        np.ones(1, np.bool_),
+    )  # fmt: skip
+    now = Snapshot(0, 2.0, 0, street.vehicle, EGO, (agent,), states, {})
+    method = FarStreet()
+    model = OpenModel(
+        Path(), street.scene_id, ("drive-1",), ModelRenderer("far", method, Capabilities(renders_depth=True))
+    )
+    cameras = rig_cameras(street, ("front_wide",), 96)
+    renderer = ReconstructedRenderer(model, street, Scenario(name="rolling"), now, cameras)
+    image = renderer.render(now, ["front_wide"])["front_wide"]
+    (seen,) = method.seen
+    assert seen is not None and seen.direction == direction
+    drawn = renderer.layer.draw_lines(renderer.layer.at(now), cameras["front_wide"].camera, seen, now.time_s)
+    assert drawn is not None
+    np.testing.assert_array_equal(renderer.agent_masks()["front_wide"], np.where(drawn.alpha >= 0.5, 0, -1))
+    whole = drawn.alpha > 0.999
+    assert whole.sum() > 50
+    assert np.abs(image[whole].astype(int) - drawn.rgb[whole]).max() <= 1
+    bare = drawn.alpha == 0.0
+    assert (image[bare] == 102).mean() > 0.9  # the rest are contact shadows

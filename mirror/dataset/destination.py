@@ -115,6 +115,10 @@ class BucketDestination:
         if not self._place.partition("/")[0]:
             raise UsageError(f"{url!r} names no bucket", expected="s3://BUCKET/PATH")
         self._filesystem = _open_s3(self.url)
+        from botocore.exceptions import BotoCoreError
+
+        # What s3fs raises as it is: no credentials, no answer from the address, a damaged configuration file.
+        self._errors = (OSError, BotoCoreError)
 
     def __reduce__(self) -> tuple[Callable[..., BucketDestination], tuple[str]]:
         return (BucketDestination, (self.url,))
@@ -174,7 +178,7 @@ class BucketDestination:
         """
         try:
             self._filesystem.pipe_file(f"{self._place}/{name}", data, mode="create")
-        except OSError as error:
+        except self._errors as error:
             if _status(error) == _TAKEN:
                 return
             raise self._unwritable_error(name, error) from error
@@ -192,7 +196,7 @@ class BucketDestination:
             left -= 1
             try:
                 put(place)
-            except OSError as error:
+            except self._errors as error:
                 status = _status(error)
                 if status == _TAKEN:
                     self._require_equal(name, size, digest())
@@ -218,14 +222,14 @@ class BucketDestination:
                     break
                 found.update(data)
                 count += len(data)
-        except OSError as error:
+        except self._errors as error:
             raise self._unwritable_error(name, error) from error
         if count != size or found.hexdigest() != mine:
             raise conflict_error(f"{self.url}/{name}", mine, found.hexdigest(), _CONFLICT_REMEDY)
 
-    def _unwritable_error(self, name: str, error: OSError) -> UnwritableError:
+    def _unwritable_error(self, name: str, error: Exception) -> UnwritableError:
         return UnwritableError(
-            f"cannot be written: {error.strerror or error}",
+            f"cannot be written: {getattr(error, 'strerror', None) or error}",
             file=f"{self.url}/{name}",
             expected="a bucket that exists, and keys that may read, list and write it",
             remedy="correct the address, or AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL "

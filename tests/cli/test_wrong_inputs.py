@@ -301,7 +301,8 @@ leaderboard add missing.json {d} --board b --dataset-name x
 leaderboard sign --board missing --key missing
 leaderboard key --out text.txt
 leaderboard rotate --board missing --key missing
-ingest there --roi 1,2 --out {u} => a path, not a URL
+ingest there --roi 1,2 --out s3://bucket/deep => cannot be written
+ingest there --roi 1,2 --out zip::there.zip => nothing is written to this store
 ingest {u} --roi 1,2 --out out => a path, not a URL
 ingest there --rois {u} --out out => a path, not a URL
 rois propose there --out {u} => a path, not a URL
@@ -408,8 +409,15 @@ def files_of(folder: Path) -> tuple[dict[str, str], list[Path]]:
 
 
 def test_wrong_inputs_are_refused_with_a_remedy(
-    folder: Path, tiny_recordings: SynthReport, tiny_dataset: Dataset, capsys: pytest.CaptureFixture[str]
+    folder: Path,
+    tiny_recordings: SynthReport,
+    tiny_dataset: Dataset,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # Nobody's keys, and no search for those of a machine in the cloud.
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID", raising=False)
+    monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
     wrong = []
     before = files_of(folder)
     # What verbs import at their first call, such as torch and numba, is not their work.

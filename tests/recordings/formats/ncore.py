@@ -57,6 +57,7 @@ def write_ncore(
     late_us: int = 0,
     tear_pose: int | None = None,
     pickled_image: Path | None = None,
+    compressed_image: bool = False,
 ) -> Path:
     """Write a sequence for each drive, and return the folder. The drives' world is the sequence's.
 
@@ -71,6 +72,7 @@ def write_ncore(
         late_us: how much later than a box's own stamp its frame is taken.
         tear_pose: the number of a pose that is written without a rotation.
         pickled_image: the first image of the first camera is pickled, and creates this file where it is unpickled.
+        compressed_image: the first image of the first camera has a codec.
     """
     from ncore.data import BBox3, CuboidTrackObservation, LabelSource
     from ncore.data.v4 import (
@@ -112,8 +114,12 @@ def write_ncore(
                 half = EXPOSURE_US // 2
                 frame = np.array([middle_ns // 1_000 - half, middle_ns // 1_000 + half], np.uint64)
                 images.store_frame(drive.image(name, index), "jpeg", frame, {}, {})
-                if pickled_image is not None and index == 0 and name == next(iter(drive.cameras)):
-                    _pickle_image(images._group["frames"][str(frame[1])], pickled_image)
+                if index == 0 and name == next(iter(drive.cameras)):
+                    first = images._group["frames"][str(frame[1])]
+                    if pickled_image is not None:
+                        _pickle_image(first, pickled_image)
+                    if compressed_image:
+                        _compress_image(first)
         cuboids = writer.register_component_writer(CuboidsComponent.Writer, "default", "labels" if groups else None)
         seen = []
         for one in drive.objects:
@@ -156,6 +162,15 @@ def _pickle_image(group: Any, mark: Path) -> None:
     array = group.create_dataset("image", shape=(1,), dtype=object, object_codec=numcodecs.Pickle(), compressor=None)
     array.attrs["format"] = "jpeg"
     array[:] = np.array([_Touch(mark)], object)
+
+
+def _compress_image(group: Any) -> None:
+    import numcodecs
+
+    encoded = group["image"][()].reshape(1)  # an array without axes keeps no codec
+    del group["image"]
+    array = group.create_dataset("image", data=encoded, compressor=numcodecs.Zlib())
+    array.attrs["format"] = "jpeg"
 
 
 class _Touch:

@@ -79,6 +79,13 @@ def test_images_may_be_jpegs(drives: dict[str, StreetDrive], tmp_path: Path) -> 
         open_recording(tmp_path / "dataset").images()
 
 
+def test_a_camera_may_have_a_single_image(folder: Path) -> None:
+    for image in sorted((folder / "sequences" / "07" / "image_1").iterdir())[1:]:
+        image.unlink()
+    streams = open_recording(folder / "07").images()
+    assert sorted(len(stream.exposure_start_ns) for stream in streams.values())[0] == 1
+
+
 def test_sequences_without_poses_are_no_drives(folder: Path) -> None:
     (folder / "poses" / "00.txt").unlink()
     assert find_recordings([folder]).recordings == (folder,)

@@ -265,3 +265,10 @@ def test_pickled_images_are_refused_and_nothing_is_executed(tmp_path: Path) -> N
         list(recording.images()["front_wide"].read([0]))
     assert not mark.exists()
     assert next(iter(recording.images()["rear"].read([0])))[1] == straight_drive().image("rear", 0)
+
+
+def test_compressed_images_are_refused(tmp_path: Path) -> None:
+    """Their size in memory is not the size of their bytes, which is checked before they are read."""
+    folder = write_ncore(tmp_path / "n", [straight_drive()], store_type="directory", compressed_image=True)
+    with pytest.raises(RecordingError, match="with a codec"):
+        list(open_recording(folder).images()["front_wide"].read([0]))

@@ -108,7 +108,7 @@ def ingest_recordings(
         print(len(report.traversals), "traversals,", len(report.failures), "recordings failed")
     """
     options, progress = options or IngestOptions(), progress or NullProgress()
-    if "://" in str(out):
+    if "://" in str(out) or "::" in str(out):
         return _ingest_into_bucket(recordings, rois, destination_at(out), _checked(options), progress)
     out = Path(out)
     retried = list_dead_letters(out) if options.retry_failed else []

@@ -134,7 +134,10 @@ def test_what_to_bring_names_the_street_the_wheels_and_every_call(tmp_path: Path
     [
         (["--device", "cpu"], "the full size needs a GPU.*--scale 0.01 --device cpu"),
         (["--device", "cpu", "--scale", "2"], "--scale: 2; expected more than 0"),
-        (["--device", "cpu", "--scale", "0.1", "--only", "speed"], "--only: 'speed'; expected checks, depth, rasterizer"),
+        (
+            ["--device", "cpu", "--scale", "0.1", "--only", "speed"],
+            "--only: 'speed'; expected checks, depth",
+        ),
         (["--device", "cpu", "--scale", "0.1", "--full", "nerf"], "--full: 'nerf'; expected hybridworldsim"),
     ],
 )

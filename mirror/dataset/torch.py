@@ -164,10 +164,17 @@ class FrameDataset(TorchDataset[Sample]):
         return len(self.frames)
 
     def __getitem__(self, index: int) -> Sample:
-        return self.__getitems__([index])[0]
+        return self._make_batch([index])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
-        """The samples of a batch, which torch's loaders ask for; their images are read together."""
+        """The samples of a batch, which torch's loaders ask for; their images are read together.
+
+        A subclass with a `__getitem__` of its own gets its own samples, one after the other.
+        """
+        is_plain = type(self).__getitem__ is FrameDataset.__getitem__
+        return self._make_batch(indices) if is_plain else [self[index] for index in indices]
+
+    def _make_batch(self, indices: Sequence[int]) -> list[Sample]:
         return [self.make(frame) for frames in self.read_ahead([indices]) for frame in frames]
 
     def read_ahead(self, groups: Iterable[Sequence[int] | Int64]) -> Iterator[list[Frame]]:

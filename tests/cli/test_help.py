@@ -22,6 +22,7 @@ DATASET_FIRST = (
     "calibrate check",
     "calibrate refine",
     "check",
+    "dataset gc",
     "dataset migrate",
     "dataset publish",
     "deidentify",

@@ -10,14 +10,11 @@ import pytest
 
 from mirror.recordings.lens_files import write_lens
 from tests.calibration.corridor import LENS
-from tests.localisation.test_poses import images
 from tests.tutorial_pages import follow
 
 pytest.importorskip("pycolmap")
 pytest.importorskip("torch")
 av = pytest.importorskip("av")
-
-__all__ = ["images"]
 
 
 def test_a_video_becomes_a_drive(

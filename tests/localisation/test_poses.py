@@ -13,7 +13,7 @@ import pytest
 from mirror.calibration.refinement.features import ImageFeatures
 from mirror.cli.main import main
 from mirror.errors import ExitCode, UsageError
-from mirror.geometry import Poses, angle_between_deg, quaternion_exp, quaternion_from_heading_pitch_roll
+from mirror.geometry import Poses, angle_between_deg, quaternion_exp
 from mirror.geometry.poses import COLUMNS
 from mirror.localisation.structure.maps import ImageMap
 from mirror.localisation.structure.placing import keep_roll
@@ -23,35 +23,10 @@ from mirror.localisation.structure.similarity import fit_track
 from mirror.localisation.structure.used_images import UsedImages
 from mirror.recordings.lens_files import write_lens
 from mirror.recordings.registry import open_recording
-from tests.calibration.corridor import LENS, NOMINAL, corridor
+from tests.calibration.corridor import LENS, NOMINAL
+from tests.localisation.phone_drive import IMAGES, START_NS, STEP_NS, drive, mounted
 
 pytest.importorskip("pycolmap")
-
-START_NS, STEP_NS = 1_772_359_200_000_000_000, 100_000_000
-IMAGES = 14
-
-
-def drive(count: int = IMAGES) -> Poses:
-    """The vehicle's poses: 0.8 m a step, in a gentle bend to the left, with a little pitch."""
-    yaw = np.radians(0.4) * np.arange(count)
-    places = np.cumsum(0.8 * np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(count)]), axis=0)
-    heading = 90.0 - np.degrees(yaw)
-    pitch = 0.2 * np.sin(np.arange(count))
-    return Poses(quaternion_from_heading_pitch_roll(heading, pitch, np.zeros(count)), places)
-
-
-def mounted(ego: Poses) -> Poses:
-    return ego @ NOMINAL[np.zeros(len(ego), np.int64)]
-
-
-@pytest.fixture(scope="module")
-def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("images")
-    cameras = mounted(drive())
-    for number in range(IMAGES):
-        file = folder / f"{START_NS + number * STEP_NS}.png"
-        file.write_bytes(corridor(cameras[np.array([number])]))
-    return folder
 
 
 @pytest.fixture

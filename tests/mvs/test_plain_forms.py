@@ -31,8 +31,8 @@ from mirror.dataset.dataset import Dataset
 from mirror.geometry.poses import Poses
 from mirror.protocols.document import Pixels
 from tests.mvs.images import SIZE, Wall, make_image
-from tests.mvs.test_run import LevelRoad, dataset, written  # noqa: F401 - fixtures
-from tests.mvs.test_sky import UNKNOWN_DEPTH, make_street_image
+from tests.mvs.level_road import LevelRoad
+from tests.mvs.street_image import UNKNOWN_DEPTH, make_street_image
 from tests.training.shadow import DEVICE, OnShadows
 
 WIDTH_PX, HEIGHT_PX, PLANES, ROAD_PLANES, SOURCES = 960, 540, 128, 32, 4
@@ -193,7 +193,7 @@ def test_colours_and_connected_parts_are_those_of_opencv() -> None:
 
 
 def test_depth_and_sky_are_found_on_a_device_without_mixing_devices(
-    dataset: Path,  # noqa: F811
+    dataset: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """On a stand-in for a GPU; the numbers are those of the CPU's kernels, up to the bars above."""

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import mirror
-from hybridworldsim.mvs.estimator import DepthMap, StereoImage
 from hybridworldsim.mvs.methods import make_estimator
 from hybridworldsim.mvs.options import InitialisationOptions
 from hybridworldsim.mvs.run import InitialisationReport, initialise
@@ -29,56 +28,10 @@ from mirror.schema.documents import NovelTraversal
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES, MASKS
 from mirror.weights.resolve import WeightsUnavailableError
-from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 from tests.interruption import interrupt_before, interrupting
 from tests.killed_after_a_layer import require_resumable
+from tests.mvs.level_road import CAMERAS, LevelRoad
 from tests.other_bytes import give_other_bytes
-
-CAMERAS = ("front_wide", "front_left")
-
-
-class LevelRoad:
-    """Returns the depth of a level road for each pixel below the horizon, without sources."""
-
-    calls = 0
-
-    def __repr__(self) -> str:
-        return "LevelRoad()"
-
-    def __call__(self, reference: StereoImage, sources: object, near_m: float, far_m: float) -> DepthMap:
-        return self.estimate(reference, near_m, far_m)
-
-    def estimate(self, reference: StereoImage, near_m: float, far_m: float) -> DepthMap:
-        self.calls += 1
-        height, width = reference.valid.shape
-        u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(reference.K).T
-        pose = reference.world_SE3_camera.matrix()[0]
-        depth = -pose[2, 3] / (rays @ pose[2, :3])
-        known = (depth > near_m) & (depth < far_m)
-        return DepthMap(np.where(known, depth, np.nan).astype(np.float32), known.astype(np.float32))
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("mvs") / "dataset"
-    builder = Builder(root, cameras=CAMERAS, size=(96, 64))
-    builder.scene("a")
-    for number in range(3):
-        # make_split keeps traversals with the same bytes together, so each traversal has its own noise.
-        noise = np.random.default_rng(number).integers(0, 255, (64, 96, 3)).astype(np.uint8)
-        encoded = dict.fromkeys(CAMERAS, bytes(cv2.imencode(".jpg", noise)[1]))
-        entry = EPOCH + number * 1000 * SECOND
-        builder.drive(f"d{number}", [Pass("a", entry, images=encoded, offset_m=0.5 * number)], vehicle_id=f"v{number}")
-    build_index(root)
-    make_split(root, "s", NovelTraversal(train=2))
-    return root
-
-
-@pytest.fixture
-def dataset(written: Path, tmp_path: Path) -> Path:
-    """A copy without layers, which tests may change."""
-    return Path(shutil.copytree(written, tmp_path / "dataset"))
 
 
 @pytest.fixture(scope="module")

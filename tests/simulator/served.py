@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from hybridworldsim.simulator.agents.replay import RecordedTrack
@@ -13,6 +14,7 @@ from hybridworldsim.simulator.remote.messages import wire
 from hybridworldsim.simulator.remote.poses import to_flat_pose, to_pose
 from hybridworldsim.simulator.remote.scenes import open_scenes
 from hybridworldsim.simulator.remote.service import Limits, SensorService
+from hybridworldsim.simulator.renderers.boxes import COLOURS
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
@@ -56,3 +58,11 @@ def request(camera: Camera | None = None, **more: object) -> object:
 
 def car_at(x: float, y: float, yaw: float = 0.0) -> object:
     return wire().DynamicObject(track_id="car-1", pose_pair=pair(to_flat_pose(x, y, yaw)))
+
+
+def pixels(data: bytes) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+
+
+def is_car(image: np.ndarray) -> np.ndarray:
+    return np.abs(image.astype(int) - COLOURS["car"]).sum(axis=2) < 120

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,95 +11,23 @@ import pytest
 from torch import nn
 
 from hybridworldsim.generation.clips.clip import Clip, ClipBoxes
-from hybridworldsim.generation.command import main as generate
-from hybridworldsim.generation.commands.model_paths import find_model_files
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions, roll_out_clip, views_with_boxes
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
-from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
 from hybridworldsim.generation.scenes.rollout import SceneGenerator
 from hybridworldsim.simulator.command import main
 from hybridworldsim.simulator.ego.vehicle import Controls
 from hybridworldsim.simulator.environment.street_env import StreetEnv
-from hybridworldsim.simulator.renderers.generated import DriveGenerator, GeneratedRenderer
+from hybridworldsim.simulator.renderers.generated import GeneratedRenderer
 from hybridworldsim.simulator.renderers.protocol import ego_pose, rig_cameras
-from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
-from hybridworldsim.simulator.simulation import Simulation, start_simulation
+from hybridworldsim.simulator.simulation import Simulation
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import UInt8
 from mirror.errors import ExitCode, UsageError
-from mirror.methods.capabilities import Capabilities
-from mirror.methods.model import ModelRenderer
-from mirror.methods.model_document import Costs, Reconstruction
 from mirror.protocols.views.view import RenderView
-from mirror.schema.files import write_json
 from mirror.schema.rollout import read_rollout
-from tests.generation.clips import write_clips
-from tests.simulator.streets import scenario, straight_street
+from tests.simulator.generated_street import CAMERAS, HEIGHT, WIDTH, FlatStreet, T, renderer_of, start
 
-CAMERAS = ("front_wide", "rear")
-WIDTH, HEIGHT, T = 24, 16, 5
 STEPS = 9
-
-
-@dataclass
-class Drawn:
-    """An image with depth."""
-
-    rgb: np.ndarray
-    alpha: np.ndarray
-    depth_m: np.ndarray
-
-
-class FlatStreet:
-    """A model of an empty plane: its colours depend on the place, so that images differ from step to step."""
-
-    def __call__(self, view: RenderView) -> UInt8:
-        return np.round(255.0 * self.render(view).rgb).astype(np.uint8)
-
-    def render(self, view: RenderView) -> Drawn:
-        shape = (view.height_px, view.width_px)
-        shade = np.linspace(0.2, 0.7, view.width_px) + 0.01 * (view.pose.translation[0, 0] % 10.0)
-        rgb = np.broadcast_to(shade[None, :, None], (*shape, 3)).astype(np.float32)
-        return Drawn(rgb, np.ones(shape, np.float32), np.full(shape, 200.0, np.float32))
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A generator and its autoencoder after one step each: their images are noise, which is enough here."""
-    folder = tmp_path_factory.mktemp("generator")
-    clips = write_clips(folder / "clips", count=1)
-    words = ["train", str(clips), "--steps", "1", "--autoencoder-steps", "1", "--batch", "1", "--json"]
-    assert generate([*words, "--out", str(folder / "out")]) == ExitCode.DONE
-    return folder / "out"
-
-
-@pytest.fixture(scope="module")
-def opened(models: Path) -> SceneGenerator:
-    return GeneratorFiles(*find_model_files(models, None)).open((HEIGHT, WIDTH))
-
-
-def start() -> Simulation:
-    """A drive behind a car, at the rate of the generator's clips."""
-    lead = {
-        "id": "lead",
-        "behaviour": {
-            "kind": "hard-brake", "ahead_m": 15.0, "speed_mps": 9.0, "deceleration_mps2": 2.0, "trigger": {"ttc_s": 2.5}
-        },
-    }  # fmt: skip
-    return start_simulation(straight_street(), scenario(lead, rate_hz=5.0))
-
-
-def renderer_of(simulation: Simulation, opened: SceneGenerator, models: Path, **options: object) -> GeneratedRenderer:
-    cameras = rig_cameras(simulation.street, CAMERAS, WIDTH, HEIGHT)
-    model = ModelRenderer("flat", FlatStreet(), Capabilities(renders_depth=True))
-    street = OpenModel(Path(), simulation.street.scene_id, ("drive-1",), model)
-    base = ReconstructedRenderer(street, simulation.street, simulation.scenario, simulation.now, cameras)
-    rollout = ClipRolloutOptions(SamplerSettings(2), blend_px=None)
-    choice = DriveGenerator(GeneratorFiles(*find_model_files(models, None)), rollout)
-    return GeneratedRenderer(
-        opened, replace(choice, **options), base, simulation.street, simulation.now, cameras,
-        simulation.scenario.rate_hz, simulation.seed,
-    )  # fmt: skip
 
 
 def drive(simulation: Simulation, renderer: GeneratedRenderer, steps: int) -> tuple[list[Snapshot], list[UInt8]]:
@@ -232,38 +160,6 @@ def test_all_cameras_are_asked_for_at_once(opened: SceneGenerator, models: Path)
     cameras |= rig_cameras(simulation.street, CAMERAS[1:], 2 * WIDTH, 2 * HEIGHT)
     with pytest.raises(UsageError, match="24 x 16 px, 48 x 32 px"):
         renderer._choice.open(cameras)
-
-
-METHOD = """
-from mirror.methods.capabilities import Capabilities
-from tests.simulator.test_generated import FlatStreet
-
-
-class Method:
-    capabilities = Capabilities(renders_depth=True)
-
-    def reconstruct(self, dataset, task, out, progress):
-        raise NotImplementedError
-
-    def open(self, model, appearance):
-        return FlatStreet()
-
-
-METHOD = Method()
-"""
-
-
-@pytest.fixture
-def model(tmp_path: Path) -> Path:
-    """A model of the tiny street by a method in a file beside it."""
-    (tmp_path / "method.py").write_text(METHOD)
-    costs = Costs(model_bytes=1, driven_m=1.0, core_s=1.0, wall_s=1.0)
-    document = Reconstruction(
-        method="method.py:METHOD", scene="guangzhou-urban", split="novel", trained={"one": "0" * 64}, done=costs
-    )
-    (tmp_path / "model").mkdir()
-    write_json(tmp_path / "model" / "reconstruction.json", document)
-    return tmp_path / "model"
 
 
 def test_the_verb_drives_at_the_rate_of_the_training_and_repeats(

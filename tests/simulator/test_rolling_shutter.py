@@ -35,10 +35,9 @@ from mirror.synth import Effects, make_drives
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.sun import instant_of
 from mirror.synth.rigs import CameraReadout
-from tests.simulator.served import car_at, pair, request, sensor_pose, service
+from tests.simulator.generated_street import Drawn
+from tests.simulator.served import car_at, is_car, pair, pixels, request, sensor_pose, service
 from tests.simulator.streets import straight_street
-from tests.simulator.test_generated import Drawn
-from tests.simulator.test_serve import is_car, pixels
 
 READOUT_S = 0.04
 EGO = EgoState(50.0, -1.75, 0.1, 15.0, 2.0, 0.05)

@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-import cv2
 import grpc
 import numpy as np
 import pytest
@@ -20,14 +19,13 @@ from hybridworldsim.simulator.remote.poses import from_pose, to_flat_pose
 from hybridworldsim.simulator.remote.scenes import ServedScene, open_scenes
 from hybridworldsim.simulator.remote.server import render_server
 from hybridworldsim.simulator.remote.service import Limits
-from hybridworldsim.simulator.renderers.boxes import COLOURS
 from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.world import Snapshot
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from tests.simulator.served import CALLS, car_at, pair, request, sensor_pose, service
+from tests.simulator.served import CALLS, car_at, is_car, pair, pixels, request, sensor_pose, service
 from tests.simulator.streets import straight_street
 
 WIDE = Camera("f_theta", 320, 200, 1.0, 1.0, 160.0, 100.0, (0.0, 150.0, 2.0, -6.0))
@@ -52,16 +50,8 @@ def client() -> Iterator[Client]:
         yield Client(port)
 
 
-def pixels(data: bytes) -> np.ndarray:
-    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-
-
 def render(client: Client, asked: object) -> np.ndarray:
     return pixels(wire().RGBRenderReturn.FromString(client.raw("render_rgb", asked.SerializeToString())).image_bytes)
-
-
-def is_car(image: np.ndarray) -> np.ndarray:
-    return np.abs(image.astype(int) - COLOURS["car"]).sum(axis=2) < 120
 
 
 def test_the_five_calls_of_a_runtime_are_answered(client: Client) -> None:

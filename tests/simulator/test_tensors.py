@@ -26,9 +26,9 @@ from mirror.methods.capabilities import Capabilities
 from mirror.methods.model import ModelRenderer
 from mirror.protocols.sensor_faults import SensorFault
 from mirror.schema.rollout import STATES_FILE
+from tests.simulator.generated_street import CAMERAS, HEIGHT, WIDTH, FlatStreet, renderer_of, start
 from tests.simulator.requests import request
 from tests.simulator.streets import EGO_R_CAMERA
-from tests.simulator.test_generated import CAMERAS, HEIGHT, WIDTH, FlatStreet, models, opened, renderer_of, start  # noqa: F401
 from tests.training.shadow import DEVICE, WAITS, OnShadows
 
 SIZE = (54, 96)
@@ -124,7 +124,7 @@ def test_images_of_a_street_stay_on_its_device_and_have_the_bytes_of_the_cpu() -
         np.testing.assert_array_equal(found[name], masks[name])
 
 
-def test_generated_road_users_have_the_same_bytes_as_tensors(opened, models) -> None:  # noqa: F811
+def test_generated_road_users_have_the_same_bytes_as_tensors(opened, models) -> None:
     simulation = start()
     arrays, tensors = (renderer_of(simulation, opened, models) for _ in range(2))
     for _ in range(7):

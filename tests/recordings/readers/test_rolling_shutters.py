@@ -21,7 +21,7 @@ from mirror.schema.documents import Roi
 from tests.recordings.formats.kitti360 import write_kitti360
 from tests.recordings.formats.street import StreetDrive, synth_drives
 from tests.recordings.formats.waymo import READOUT_S, write_waymo
-from tests.recordings.readers.test_waymo import OFFSET_M, prepared
+from tests.recordings.formats.waymo_drive import OFFSET_M, prepared
 
 
 def ncore_drive(root: Path) -> tuple[Path, StreetDrive]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +13,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from mirror.errors import RecordingError
-from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.poses import Poses
-from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_exp
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.recordings.discovery import find_recordings
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
 from tests.recordings.formats.compare import Tolerances, compare_boxes, compare_cameras, compare_poses
-from tests.recordings.formats.street import StreetDrive, StreetObject, synth_drives
-from tests.recordings.formats.waymo import CAMERAS, DISTORTION, READOUT_S, SHUTTER_S, transforms, write_waymo
+from tests.recordings.formats.street import StreetDrive, synth_drives
+from tests.recordings.formats.waymo import READOUT_S, SHUTTER_S, transforms, write_waymo
+from tests.recordings.formats.waymo_drive import OFFSET_M, prepared
 
 NAMES = {
     "front_wide": "front_wide",
@@ -33,29 +31,8 @@ NAMES = {
     "SIDE_LEFT": "rear_left",
     "SIDE_RIGHT": "rear_right",
 }
-OFFSET_M = (22_000.0, -4_300.0, 30.0)
 # Seconds since 1970 in float64 resolve 240 ns, in which a vehicle moves by 4 micrometres.
 TOLERANCES = Tolerances(position_m=1e-5, angle_rad=1e-6, stamp_ns=500)
-
-
-def prepared(drive: StreetDrive) -> StreetDrive:
-    """The drive with distorted lenses, and boxes that are level in the vehicle's frame."""
-    drive = drive.placed(OFFSET_M).with_cameras(tuple(CAMERAS))
-    lenses = {
-        name: Camera(
-            "brown_conrady", c.width_px, c.height_px, c.fx_px, c.fy_px, c.cx_px, c.cy_px, tuple(DISTORTION.values())
-        )
-        for name, c in drive.cameras.items()
-    }
-    ego = drive.poses_at(drive.box_ns)
-
-    def level(one: StreetObject) -> StreetObject:
-        seen = ego.inverse() @ one.world_SE3_box
-        ahead = matrix_from_quaternion(seen.rotation)[:, :, 0]
-        turn = quaternion_exp(np.outer(np.arctan2(ahead[:, 1], ahead[:, 0]), (0.0, 0.0, 1.0)))
-        return replace(one, world_SE3_box=ego @ Poses(turn, seen.translation))
-
-    return replace(drive, cameras=lenses, objects=tuple(level(one) for one in drive.objects))
 
 
 @pytest.fixture(scope="module")

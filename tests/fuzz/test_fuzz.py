@@ -82,7 +82,11 @@ def judge(
         (failure,) = answer["failures"]
         if failure["error"] not in ERRORS or not failure["problem"] or not failure["file"]:
             return "no name", str(failure)
-        return "refused", None if after == before else "the dataset has changed"
+        # The list of recordings that could not be ingested names this one.
+        rest = {name: digest for name, digest in after.items() if not name.startswith("failures/")}
+        if len(after) != len(rest) + 1:
+            return "refused", "the dataset does not list the recording"
+        return "refused", None if rest == before else "the dataset has changed"
     changed = [name for name, digest in before.items() if not name.startswith(DERIVED) and after.get(name) != digest]
     if changed:
         return "taken", f"other files of the dataset have changed: {changed}"

@@ -1,7 +1,7 @@
 """Recordings that could not be ingested, kept in the dataset as Parquet for `mirror ingest --retry-failed`.
 
-Each run that had failures writes one file, named by its content. A run that retries reads them all, and removes those
-that it read when it is done: what failed again is in its own file. So runs at the same time lose nothing of each other.
+Each run that had failures writes one file, named by its content. A run removes the files whose recordings it has all
+tried again: what failed once more is in its own file. So runs at the same time lose nothing of each other.
 """
 
 from __future__ import annotations

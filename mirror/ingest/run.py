@@ -111,10 +111,11 @@ def ingest_recordings(
     if "://" in str(out) or "::" in str(out):
         return _ingest_into_bucket(recordings, rois, destination_at(out), _checked(options), progress)
     out = Path(out)
-    retried = list_dead_letters(out) if options.retry_failed else []
-    again = [Path(one.recording) for one in read_dead_letters(retried)]
-    given = {path.absolute() for path in recordings}
-    recordings = [*recordings, *(path for path in again if path not in given)]
+    failed = {file: {one.recording for one in read_dead_letters([file])} for file in list_dead_letters(out)}
+    given = {str(path.absolute()) for path in recordings}
+    again = sorted(set().union(*failed.values()) - given) if options.retry_failed else []
+    recordings = [*recordings, *map(Path, again)]
+    retried = [file for file, names in failed.items() if names <= given.union(again)]
     report = _ingest_into_folder(recordings, rois, out, _checked(options), progress)
     if not options.dry_run and Layout(out).document.exists():
         write_dead_letters(out, report.dead_letters, retried)

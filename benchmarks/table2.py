@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -122,7 +122,7 @@ class Table2Arguments:
     """Print the commands and run none."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Run:
     """The commands of a run, in their order.
 
@@ -130,20 +130,17 @@ class _Run:
         arguments: what was asked.
         spec: the dataset.
         out: the working folder.
-        commands: the commands so far, as printed.
     """
 
     arguments: Table2Arguments
     spec: PublicDataset
     out: Path
-    commands: list[str] = field(default_factory=list)
 
     def call(self, result: Path, *words: object) -> None:
         """Print a command, and run it unless its result exists."""
         from mirror.cli.main import main as verb
 
         line = " ".join(("mirror", *map(str, words)))
-        self.commands.append(line)
         done = result.exists()
         print(f"# finished: {line}" if done else line, flush=True)
         if done or self.arguments.dry_run:
@@ -278,12 +275,9 @@ def make_row(run: _Run, dataset: Path, method: str) -> dict[str, Any] | None:
 
 def read_row(result: Path, method: str) -> dict[str, Any]:
     """Return the figures of a result by group and metric; None for one without a value."""
-    figures = {
-        (one["group"], one["metric"]): one["value"]
-        for one in json.loads(result.read_text())["figures"]
-        if one["level"] == "group"
-    }
-    return {"method": method, "figures": {f"{group}/{metric}": value for (group, metric), value in figures.items()}}
+    figures = json.loads(result.read_text())["figures"]
+    of_groups = [one for one in figures if one["level"] == "group"]
+    return {"method": method, "figures": {f"{one['group']}/{one['metric']}": one["value"] for one in of_groups}}
 
 
 def report_rows(name: str, rows: Sequence[dict[str, Any]]) -> Iterator[str]:
@@ -319,9 +313,8 @@ def main(argv: Sequence[str]) -> int:
         out.mkdir(parents=True, exist_ok=True)
     run = _Run(arguments, spec, out)
     dataset = make_dataset(run)
-    rows = [make_row(run, dataset, method) for method in arguments.methods.split(",") if method] or [
-        make_row(run, dataset, method) for method in spec.methods
-    ]
+    methods = arguments.methods.split(",") if arguments.methods else spec.methods
+    rows = [make_row(run, dataset, method) for method in methods]
     if not arguments.dry_run:
         found = [row for row in rows if row is not None]
         write_json(out / "rows.json", {"dataset": arguments.name, "rows": found})

@@ -1,4 +1,4 @@
-"""What to bring to a machine that has a GPU and no network, and what to run there."""
+"""Lists what a machine with a GPU and no network needs, and the commands to run there."""
 
 from __future__ import annotations
 

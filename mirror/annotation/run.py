@@ -25,7 +25,7 @@ from mirror.dataset.layers import LayerChoice
 from mirror.dataset.layout import Layout
 from mirror.dataset.unfinished_work import ANNOTATION, remove_work, work_folder
 from mirror.dataset.writing import writing_layers
-from mirror.errors import DatasetError, MirrorError
+from mirror.errors import DatasetError, MirrorError, UsageError
 from mirror.executors.choice import ExecutorChoice
 from mirror.executors.job import Failure, ParallelJob
 from mirror.progress import NullProgress, ProgressReporter
@@ -135,7 +135,8 @@ def annotate(
         choice: opens the annotator in a worker; it is needed with `executor`.
 
     Raises:
-        UsageError: the dataset is not local, or the source or version cannot name a layer.
+        UsageError: the dataset is not local, the source or version cannot name a layer, or there is an executor
+            without a choice.
         DatasetError: a layer of this name was made by another annotator, another process writes the dataset, or a
             result cannot be written, such as on a full disk; the same call continues with the results before it.
     """
@@ -156,9 +157,11 @@ def annotate(
         pending, report.kept = find_missing(layers.values())
         progress.start("frames", sum(len(dataset.where(traversal=name).frames()) for name in pending))
         tasks = [_LayerTask(layers[name], work, skip_failed) for name in pending]
-        if executor is None or choice is None:
+        if executor is None:
             for task in tasks:
                 report.add(_annotate_traversal(dataset, annotator, task, hashes, progress))
+        elif choice is None:
+            raise UsageError("an executor without a choice of an annotator", expected="one that workers can open")
         else:
             _annotate_on_workers(dataset, annotator.fingerprint, choice, tasks, executor, report, progress)
         if not report.failed and not report.broken:
@@ -194,7 +197,7 @@ def _annotate_traversal(
 
 @dataclass(frozen=True)
 class _AnnotatorSettings:
-    """What a worker opens once: the dataset and the annotator."""
+    """The dataset and the annotator that a worker opens once."""
 
     root: str
     layers: LayerChoice

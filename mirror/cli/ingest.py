@@ -107,7 +107,7 @@ class Arguments:
     max_missing_images: float = 0.0
     """Share of a recording's images whose files may be missing, 0 to 1; the drive is ingested without them."""
     images: Literal["jpeg", "video", "shards"] = "jpeg"
-    """How images are stored. jpeg: a file each, also frames of recorded videos. video: those as the recording's own
+    """Form of the stored images. jpeg: a file each, also frames of recorded videos. video: those as the recording's own
     compressed video. shards: side by side in tar archives of 64 MiB, frame by frame."""
     workers: Annotated[int | None, help_text(default="one a core, or as many as a cluster has room for")] = None
     """Number of threads, or of workers of an executor."""

@@ -1,4 +1,4 @@
-"""Where a run commits files that are written once: a folder of a disk, or a place in a bucket of S3.
+"""Destinations of files that are written once: a folder of a disk, or a place in a bucket of S3.
 
 In a bucket a name gets its bytes by a conditional request: ``If-None-Match: *`` on PutObject and on
 CompleteMultipartUpload. The server answers 412 where the name is taken, which ends the attempt: the bytes that are
@@ -9,7 +9,6 @@ attempt is repeated.
 from __future__ import annotations
 
 import hashlib
-import os
 import random
 import time
 from collections.abc import Callable
@@ -237,31 +236,23 @@ class BucketDestination:
         )
 
 
-def destination_at(root: str | os.PathLike[str]) -> Destination:
-    """Return the destination at a folder or URL.
+def bucket_at(url: str) -> BucketDestination:
+    """Return the place in a bucket that a URL names.
 
     Args:
-        root: a folder, or ``s3://BUCKET/PATH``.
+        url: ``s3://BUCKET/PATH``.
 
     Raises:
         UsageError: it is a URL of another store, or a package is missing.
     """
-    text = os.fspath(root)
-    if text.startswith(_SCHEME):
-        return BucketDestination(text)
-    if "://" in text or "::" in text:
+    if not url.startswith(_SCHEME):
         raise UsageError(
             "nothing is written to this store: it is not known to refuse a name that is taken",
-            file=text,
+            file=url,
             expected="a folder, or s3://BUCKET/PATH",
             remedy="write into a folder, and copy it when no run writes it",
         )
-    return FolderDestination(Path(text))
-
-
-def is_bucket(root: str | os.PathLike[str]) -> bool:
-    """Return whether a path is a URL of S3."""
-    return os.fspath(root).startswith(_SCHEME)
+    return BucketDestination(url)
 
 
 def _open_s3(url: str) -> Any:

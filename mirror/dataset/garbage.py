@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from mirror.dataset.owned_folder import abandoned_folders
 from mirror.dataset.store import Store
 from mirror.errors import UsageError
 from mirror.schema.bundle import BUNDLE
-from mirror.schema.files import unwritable_error
+from mirror.schema.files import remove_path
 from mirror.schema.snapshot import snapshot_path
 
 DEFAULT_AGE_S: Final = 7 * 24 * 3600
@@ -90,7 +89,7 @@ def collect_garbage(
         size = sum(_size(path) for path in doomed)
         # Snapshots go first: no snapshot names a segment that is gone.
         for path in () if dry_run else doomed:
-            _remove(path)
+            remove_path(path)
     return GarbageReport(
         tuple(snapshots),
         tuple(path.name for path in segments),
@@ -153,13 +152,3 @@ def _is_old(path: Path, before: float) -> bool:
 
 def _size(path: Path) -> int:
     return sum(one.lstat().st_size for one in _files(path))
-
-
-def _remove(path: Path) -> None:
-    try:
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
-    except OSError as error:
-        raise unwritable_error(path, error) from error

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from mirror.dataset.layout import Layout
-from mirror.schema.files import unwritable_error
+from mirror.schema.files import remove_path
 
 ANNOTATION: Final = ".annotate"
 DEIDENTIFICATION: Final = ".deidentify"
@@ -55,10 +55,4 @@ def drop_work(layout: Layout, traversal_id: str) -> None:
     """
     for folder in _FOLDERS:
         for path in (layout.root / folder).glob(f"*/{traversal_id}*"):
-            try:
-                if path.is_dir():
-                    shutil.rmtree(path)
-                else:
-                    path.unlink(missing_ok=True)
-            except OSError as error:
-                raise unwritable_error(path, error) from error
+            remove_path(path)

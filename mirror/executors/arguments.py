@@ -26,7 +26,7 @@ class ExecutorArguments:
     resource: Annotated[
         tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME[=NUMBER]", default="CPU=1")
     ] = ()
-    """What a worker asks the Ray cluster for, such as GPU=1 or a name that `ray start --resources` declared."""
+    """Resource that a worker asks the Ray cluster for: GPU=1, or a name that `ray start --resources` declared."""
 
     def choose(self, default: Kind, workers: int | None) -> ExecutorChoice:
         """Return the choice.

@@ -19,7 +19,7 @@ class Executor(ABC):
     """A place where jobs run; its workers end with the block that opened it."""
 
     is_local: bool = False
-    """Whether jobs run in this process, so that neither they nor their results are pickled."""
+    """True where jobs run in this process, so that neither they nor their results are pickled."""
 
     def __enter__(self) -> Self:
         return self

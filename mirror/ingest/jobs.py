@@ -19,7 +19,7 @@ from mirror.dataset.layout import Layout, complete_manifest
 from mirror.dataset.lock import adding
 from mirror.dataset.owned_folder import abandoned_folders
 from mirror.dataset.store import Store
-from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
+from mirror.errors import MirrorError, RecordingError, UsageError
 from mirror.executors.executor import Executor
 from mirror.executors.job import Failure, ParallelJob, Result
 from mirror.ingest.drive import (
@@ -32,7 +32,7 @@ from mirror.ingest.drive import (
 )
 from mirror.ingest.known_drives import KnownDrives
 from mirror.ingest.prepare import prepare
-from mirror.ingest.request import DriveReport, IngestOptions, IngestReport
+from mirror.ingest.request import FATAL, DriveReport, IngestOptions, IngestReport
 from mirror.ingest.rois import read_rois, write_rois
 from mirror.ingest.settings import IngestSettings
 from mirror.ingest.staging import FOLDER, Staging
@@ -47,7 +47,6 @@ from mirror.schema.files import encode_json, read_json, write_json
 
 JOB: Final = "job"
 """First part of the names of folders of jobs, which no other run takes over."""
-_FATAL: Final = (UsageError, DatasetError)
 
 
 @dataclass(frozen=True)
@@ -199,7 +198,7 @@ class WorkersRun:
                 yield path, answer
 
     def _fail(self, path: Path, error: MirrorError, failure: Failure) -> None:
-        if self._options.fail_fast or isinstance(error, _FATAL):
+        if self._options.fail_fast or isinstance(error, FATAL):
             raise error
         self.report.fail(path, error, failure.status, failure.attempts)
 
@@ -249,11 +248,11 @@ def remove_dead_folders(layout: Layout) -> None:
 
 
 _Step: TypeAlias = Callable[["_DriveMaker", Path], Result]
-"""What a job does with a recording."""
+"""The work of a job on a recording."""
 
 
 class _DriveMaker(NamedTuple):
-    """What a worker has for all recordings."""
+    """The settings of a worker, with what it derives from them once for all recordings."""
 
     sent: DriveSettings
     trigger: RoiTrigger

@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from pydantic import ValidationError
 
-from mirror.errors import MirrorError, UsageError
+from mirror.errors import DatasetError, MirrorError, UsageError
 from mirror.executors.choice import ExecutorChoice
 from mirror.ingest.dead_letters import DeadLetter
 from mirror.ingest.maps import MapOutcome
@@ -20,6 +20,9 @@ from mirror.ingest.trigger import Pass
 from mirror.recordings.protocol import DriveInfo
 from mirror.schema.documents import CleaningOptions, CleaningReport, TriggerOptions
 from mirror.schema.problems import describe_expected
+
+FATAL: Final = (UsageError, DatasetError)
+"""Errors that are not one recording's fault, and would meet the next one too."""
 
 Thresholds = TypeVar("Thresholds", TriggerOptions, CleaningOptions)
 

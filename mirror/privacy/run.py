@@ -24,6 +24,7 @@ from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.unfinished_work import DEIDENTIFICATION, remove_work, work_folder
 from mirror.dataset.writing import writing_layers
 from mirror.errors import ExitCode, MirrorError
+from mirror.executors.choice import ExecutorChoice
 from mirror.executors.executor import SerialExecutor
 from mirror.executors.job import Failure, ParallelJob
 from mirror.executors.processes import ProcessesExecutor
@@ -162,7 +163,11 @@ def deidentify(
         bar.start("images searched", sum(counts[name] for name in todo))
         folder = work_folder(layout, DEIDENTIFICATION, options.version, detection_hash(records, options))
         if options.executor is not None and options.executor.kind == "ray":
-            _on_cluster(layout, todo, options, configuration, folder, report, bar)
+            settings = _TraversalSettings(
+                Layout(layout.root.absolute()), replace(options, workers=1, executor=None), configuration,
+                folder.absolute(),
+            )  # fmt: skip
+            _on_cluster(options.executor, settings, todo, report, bar)
         else:
             is_serial = options.executor is not None and options.executor.kind == "serial"
             executor = SerialExecutor() if is_serial else ProcessesExecutor(options.workers)
@@ -176,7 +181,7 @@ def deidentify(
 
 @dataclass(frozen=True)
 class _TraversalSettings:
-    """What a worker of a cluster is given for all traversals."""
+    """The settings of a worker of a cluster, for all traversals."""
 
     layout: Layout
     options: DeidentifyOptions
@@ -185,20 +190,14 @@ class _TraversalSettings:
 
 
 def _on_cluster(
-    layout: Layout,
+    choice: ExecutorChoice,
+    settings: _TraversalSettings,
     todo: Sequence[str],
-    options: DeidentifyOptions,
-    configuration: Configuration,
-    folder: Path,
     report: DeidentifyReport,
     bar: ProgressReporter,
 ) -> None:
     """De-identify traversals on the workers of a cluster, a traversal at a time."""
-    if options.executor is None:
-        return
-    inner = replace(options, workers=1, executor=None)
-    settings = _TraversalSettings(Layout(layout.root.absolute()), inner, configuration, folder.absolute())
-    with options.executor.open() as workers:
+    with choice.open() as workers:
         for number, answer in workers.map(ParallelJob(_make_deidentification, (settings,)), todo):
             if not isinstance(answer, Failure):
                 report.add(answer)

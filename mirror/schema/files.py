@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
@@ -117,6 +118,21 @@ def unmovable_error(folder: Path, error: OSError) -> DatasetError:
         expected="a writable parent folder",
         remedy="free space and check the permissions, then run the same command again: it resumes where it stopped",
     )
+
+
+def remove_path(path: Path) -> None:
+    """Remove a file, or a folder with all that it holds; nothing if it is gone.
+
+    Raises:
+        DatasetError: it cannot be removed.
+    """
+    try:
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise unwritable_error(path, error) from error
 
 
 def write_json(path: Path, document: BaseModel | dict[str, object]) -> None:

@@ -84,8 +84,8 @@ def helps() -> dict[str, str]:
     return {name: printed_help(name) for name in all_command_names()}
 
 
-class ParsedError(Exception):
-    """The arguments of a command were accepted."""
+class ParsedError(BaseException):
+    """The arguments of a command were accepted; no handler of errors takes it for one of a verb or a plug-in."""
 
 
 @pytest.fixture

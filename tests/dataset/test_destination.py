@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from mirror.dataset import destination
-from mirror.dataset.destination import BucketDestination, FolderDestination, destination_at
+from mirror.dataset.destination import BucketDestination, FolderDestination, bucket_at
 from mirror.errors import UnwritableError, UsageError
 from mirror.schema.commit import ConflictError
 from tests.builders.bucket import BUCKET, Bucket
@@ -28,8 +28,7 @@ def bucket() -> Iterator[Bucket]:
 
 
 def test_a_put_carries_the_condition_and_equal_bytes_are_done(bucket: Bucket, tmp_path: Path) -> None:
-    place = destination_at(URL)
-    assert isinstance(place, BucketDestination)
+    place = bucket_at(URL)
     (tmp_path / "made").write_bytes(b"equal")
     assert place.commit_bytes("a/b.json", b"equal")
     assert not place.commit_bytes("a/b.json", b"equal") and not place.commit_file(tmp_path / "made", "a/b.json")
@@ -138,9 +137,8 @@ def test_a_server_that_ignores_the_condition_is_refused(bucket: Bucket) -> None:
 def test_other_stores_are_refused(tmp_path: Path) -> None:
     for url in ("gs://bucket/street", "memory://street", "zip::street.zip", "https://example.org/street"):
         with pytest.raises(UsageError, match="or s3://BUCKET/PATH"):
-            destination_at(url)
+            bucket_at(url)
     with pytest.raises(UsageError, match="names no bucket"):
-        destination_at("s3://")
-    folder = destination_at(tmp_path)
-    assert isinstance(folder, FolderDestination)
+        bucket_at("s3://")
+    folder = FolderDestination(tmp_path)
     assert folder.commit_bytes("a/b", b"one") and (tmp_path / "a" / "b").read_bytes() == b"one"

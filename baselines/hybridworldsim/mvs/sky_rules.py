@@ -1,4 +1,4 @@
-"""What tells the sky from other parts of an image: the thresholds of `hybridworldsim.mvs.sky` and of its plain form."""
+"""The thresholds that tell the sky from other parts of an image, in `hybridworldsim.mvs.sky` and in its plain form."""
 
 from __future__ import annotations
 

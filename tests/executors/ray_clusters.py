@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 import sys
@@ -47,7 +48,7 @@ def open_cluster(home: Path, *nodes: dict[str, Any]) -> Iterator[Any]:
             cluster.add_node(object_store_memory=100 << 20, wait=True, **head, **node)
         # It prints pages on standard output for each worker and node that ends.
         vars(ray._private.worker)["_worker_logs_enabled"] = False
-        ray.init(address=cluster.address, log_to_driver=False, logging_level="ERROR")
+        ray.init(address=cluster.address, log_to_driver=False, logging_level=logging.ERROR)
         yield cluster
     finally:
         ray.shutdown()

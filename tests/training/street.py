@@ -13,7 +13,7 @@ from hybridworldsim.model.settings import AnchorRefinement, Settings
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.trainable.viewpoint import Source, Viewpoint, to_viewpoint
-from mirror.protocols.views.view import RenderView
+from mirror.protocols.views.view import RenderView, to_pose
 
 WIDTH, HEIGHT = 32, 20
 TRAVERSALS = ("s.day.0", "s.night.0")
@@ -50,7 +50,7 @@ def view(traversal: str, frame: int, camera: str = "front_wide", x_m: float | No
         cy_px=HEIGHT / 2,
         distortion=(),
         # Camera z along the world's x, camera x along minus y, camera y down.
-        world_SE3_camera=(0.5, -0.5, 0.5, -0.5, 1.0 * frame if x_m is None else x_m, 0.0, 1.5),
+        world_SE3_camera=to_pose((0.5, -0.5, 0.5, -0.5, 1.0 * frame if x_m is None else x_m, 0.0, 1.5)),
     )
 
 

@@ -234,7 +234,7 @@ def write_mcap(
                 channels[message.topic] = _register(writer, message, encoding)
             channel, encode = channels[message.topic]
             writer.add_message(channel, message.stamp, encode(message.value), message.stamp)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return path
 
 

@@ -67,6 +67,7 @@ RAISED_BY: Final = {
     "mirror/dataset/door/": ("ingest", "dataset publish"),
     "mirror/dataset/images/": ("ingest",),
     "mirror/dataset/lock.py": ("ingest", "index", "split"),
+    "mirror/dataset/lease.py": ("dataset gc", "dataset migrate"),
     "mirror/integrity/": ("check", "ingest"),
     "mirror/localisation/structure/": ("poses",),
     "mirror/methods/spz.py": ("export-ply",),

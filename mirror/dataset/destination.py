@@ -188,6 +188,52 @@ class BucketDestination:
             remedy="write into a folder, and copy it to the bucket when no run writes it",
         )
 
+    def read_tagged(self, name: str) -> tuple[bytes, str] | None:
+        """Read an object with the tag that identifies its bytes; None: there is none.
+
+        Raises:
+            UnwritableError: the bucket does not answer, or may not be read.
+        """
+        from fsspec.asyn import sync
+
+        async def get() -> tuple[bytes, str]:
+            bucket, _, key = f"{self._place}/{name}".partition("/")
+            answer = await self._filesystem._call_s3("get_object", Bucket=bucket, Key=key)
+            return await answer["Body"].read(), str(answer["ETag"])
+
+        try:
+            found: tuple[bytes, str] = sync(self._filesystem.loop, get)
+        except FileNotFoundError:
+            return None
+        except self._errors as error:
+            raise self._unwritable_error(name, error) from error
+        return found
+
+    def put_tagged(self, name: str, data: bytes, tag: str | None) -> str | None:
+        """Put an object under the condition that it is as it was read, or that there is none.
+
+        Args:
+            name: of the object.
+            data: its bytes.
+            tag: what `read_tagged` or this method returned; None: there must be no such object.
+
+        Returns:
+            The tag of the bytes that were put; None: the condition does not hold, and nothing was put.
+
+        Raises:
+            UnwritableError: it cannot be written.
+        """
+        bucket, _, key = f"{self._place}/{name}".partition("/")
+        condition = {"IfNoneMatch": "*"} if tag is None else {"IfMatch": tag}
+        try:
+            answer = self._filesystem.call_s3("put_object", Bucket=bucket, Key=key, Body=data, **condition)
+        except self._errors as error:
+            # Another writer was first, or is just putting it; or the object is gone.
+            if _status(error) in (_TAKEN, _BUSY) or isinstance(error, FileNotFoundError):
+                return None
+            raise self._unwritable_error(name, error) from error
+        return str(answer["ETag"])
+
     def _commit(self, name: str, put: Callable[[str], None], size: int, digest: Callable[[], str]) -> bool:
         place = f"{self._place}/{name}"
         left, pause_s = _ATTEMPTS, _FIRST_PAUSE_S

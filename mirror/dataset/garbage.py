@@ -1,8 +1,9 @@
 """Removal of what no reader of a dataset can reach any more, and that nobody changed for some time.
 
-Runs never remove what another one may own; this does, on request. It holds the dataset's writer lock, which ends with
-its process, and waits for runs that are committing drives. What readers have open on this machine stays, and so does
-whatever is younger than the age limit: a run on another machine may be about to name it.
+Runs never remove what another one may own; this does, on request. It holds the dataset's lease, which reaches other
+machines, and its writer lock, which ends with its process, and waits for runs that are committing drives. What readers
+have open on this machine stays, and so does whatever is younger than the age limit: a run on another machine may be
+about to name it.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from mirror.dataset.destination import FolderDestination
 from mirror.dataset.generation import has_readers
 from mirror.dataset.index.segment import WORK
 from mirror.dataset.index.snapshots import list_snapshots, read_snapshot, read_state
 from mirror.dataset.layout import Layout, read_manifest, require_dataset
+from mirror.dataset.lease import hold_lease
 from mirror.dataset.lock import replacing, writer_lock
 from mirror.dataset.owned_folder import abandoned_folders
 from mirror.dataset.store import Store
@@ -66,15 +69,19 @@ def collect_garbage(
 
     Raises:
         UsageError: the folder is a published dataset, whose files are sealed.
-        DatasetError: there is no dataset, a snapshot or a drive's manifest is missing, another run writes the dataset,
-            or it cannot be written.
+        DatasetError: there is no dataset, a snapshot or a drive's manifest is missing, another run writes the dataset
+            or holds its lease, or it cannot be written.
         SchemaError: a snapshot or a drive's manifest is broken: what they name is not known then.
     """
     layout = Layout(root)
     require_dataset(layout)
     if (root / BUNDLE).is_file():
         raise UsageError("a published dataset has no history", file=root / BUNDLE, expected="the dataset it came from")
-    with writer_lock(layout, wait=wait), replacing(layout):
+    with (
+        hold_lease(FolderDestination(root), "gc", wait=wait) as lease,
+        writer_lock(layout, wait=wait),
+        replacing(layout),
+    ):
         before = time.time() - age_s
         snapshots, segments = _old_index(layout, before)
         named = _named_traversals(layout)
@@ -89,6 +96,7 @@ def collect_garbage(
         size = sum(_size(path) for path in doomed)
         # Snapshots go first: no snapshot names a segment that is gone.
         for path in () if dry_run else doomed:
+            lease.require()
             remove_path(path)
     return GarbageReport(
         tuple(snapshots),

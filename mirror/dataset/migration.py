@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from mirror.dataset.destination import FolderDestination
 from mirror.dataset.generation import FOLDER as SUPERSEDED
 from mirror.dataset.generation import recover
 from mirror.dataset.index.build import IndexReport, build_index
 from mirror.dataset.layout import MANIFEST, Layout, require_dataset
+from mirror.dataset.lease import hold_lease
 from mirror.dataset.lock import replacing, writer_lock
 from mirror.errors import SchemaError, UsageError
 from mirror.schema.bundle import BUNDLE
@@ -47,7 +49,8 @@ def migrate(root: Path, *, wait: bool = False) -> MigrationReport:
 
     Raises:
         UsageError: the folder is a published dataset, whose files are sealed.
-        DatasetError: there is no dataset, a file is missing or damaged, or the dataset cannot be written.
+        DatasetError: there is no dataset, a file is missing or damaged, another run holds the dataset's lease, or it
+            cannot be written.
         SchemaError: a document is broken, or of a later version.
     """
     layout = Layout(root)
@@ -58,18 +61,20 @@ def migrate(root: Path, *, wait: bool = False) -> MigrationReport:
             expected="the dataset that it was published from",
             remedy="let its publisher migrate that, and publish it again with `mirror dataset publish`",
         )  # fmt: skip
-    with writer_lock(layout, wait=wait):
+    with hold_lease(FolderDestination(root), "migrate", wait=wait) as lease, writer_lock(layout, wait=wait):
         document = _read_document(layout.document)
         before = str(document["schema_version"])
         is_earlier = before.split(".")[:2] != DATASET_VERSION.split(".")[:2]
         if not is_earlier and not (layout.index / MANIFEST).exists():
             return MigrationReport(before, None)
+        lease.require()
         if is_earlier:
             with replacing(layout):
                 # What an interrupted run of the earlier version had moved comes back first.
                 recover(layout)
             write_json(layout.document, {**document, "schema_version": DATASET_VERSION})
         report = build_index(root, compact=True)
+        lease.require()
         _remove_earlier(layout)
         return MigrationReport(before, report)
 

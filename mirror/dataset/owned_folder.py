@@ -25,7 +25,7 @@ from mirror.schema.files import unwritable_error
 LEFT_OVER_AGE_S: Final = 24 * 3600
 """Age after which an abandoned folder of another machine is removed: one day without a change."""
 
-_UNKNOWN: Final = "unknown"
+UNKNOWN: Final = "unknown"
 
 
 class OwnedFolder:
@@ -44,7 +44,7 @@ class OwnedFolder:
 
     def __init__(self, parent: Path, name: str) -> None:
         while True:
-            self.path = parent / f"{name}.{_boot()}.{secrets.token_hex(6)}"
+            self.path = parent / f"{name}.{boot_id()}.{secrets.token_hex(6)}"
             try:
                 self.path.mkdir(parents=True)
                 handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
@@ -85,7 +85,7 @@ def abandoned_folders(parent: Path, name: str) -> Iterator[Path]:
         try:
             is_free = _lock(handle)
             # A lock of another machine is not visible here: for its folders a free lock proves nothing.
-            is_dead = is_free and folder.name.split(".")[-2] == _boot() != _UNKNOWN
+            is_dead = is_free and folder.name.split(".")[-2] == boot_id() != UNKNOWN
             if is_dead or (is_free is not False and _unchanged_s(folder) > LEFT_OVER_AGE_S):
                 yield folder
         finally:
@@ -114,9 +114,9 @@ def _unchanged_s(folder: Path) -> float:
 
 
 @cache
-def _boot() -> str:
-    """An id of this boot of this machine; `_UNKNOWN` where the system has none."""
+def boot_id() -> str:
+    """Return an id of this boot of this machine; `UNKNOWN` where the system has none."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip().replace("-", "")[:12]
     except OSError:
-        return _UNKNOWN
+        return UNKNOWN

@@ -52,7 +52,7 @@ class Bucket:
         requests: in the order of their answers.
         delay_s: what each answer waits.
         hold_s: how long a conditional put keeps its name to itself.
-        is_lenient: ignore ``If-None-Match``, as some servers do.
+        is_lenient: ignore ``If-None-Match`` and ``If-Match``, as some servers do.
         refusals: statuses that the next conditional requests get; 200: what they deserve.
     """
 
@@ -176,6 +176,14 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _put(self, key: str, headers: dict[str, str], data: bytes, answer: bytes) -> tuple[int, bytes, dict[str, str]]:
         bucket = self.bucket
+        if "if-match" in headers and not bucket.is_lenient:
+            with bucket.lock:
+                if key not in bucket.objects:
+                    return 404, _xml("Error", Code="NoSuchKey", Message="no such key"), {}
+                if _etag(bucket.objects[key]) != headers["if-match"]:
+                    return _refusal(412)
+                bucket.objects[key] = data
+            return 200, answer, {"ETag": _etag(data)}
         if headers.get("if-none-match") != "*" or bucket.is_lenient:
             bucket.objects[key] = data
             return 200, answer, {"ETag": _etag(data)}

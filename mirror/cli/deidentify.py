@@ -75,6 +75,9 @@ class Arguments:
     """Error of the 3D boxes, in metres: what is redacted at a box becomes larger by it on each side."""
     withhold_failed: bool = False
     """Complete traversals without the images that failed. A release leaves these out."""
+    images: Annotated[Literal["files", "shards"] | None, help_text(default="as the recorded images are")] = None
+    """Form of the redacted images: a file each, or side by side in tar archives of 64 MiB, frame by frame. Layers that
+    are complete stay as they are."""
     workers: Annotated[int | None, help_text(default="one a core")] = None
     """Number of processes."""
     executor: tyro.conf.OmitArgPrefixes[ExecutorArguments] = field(default_factory=ExecutorArguments)
@@ -131,6 +134,7 @@ def _options(arguments: Arguments) -> DeidentifyOptions:
         executor=arguments.executor.choose("processes", arguments.workers),
         timeout_s=arguments.timeout_s,
         withhold_failed=arguments.withhold_failed,
+        shards=None if arguments.images is None else arguments.images == "shards",
     )
 
 

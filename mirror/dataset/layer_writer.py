@@ -14,6 +14,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from mirror.dataset.generation import supersede
+from mirror.dataset.images.shards import pack_images
 from mirror.dataset.layout import MANIFEST, Layout, seal
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
 from mirror.dataset.redaction import REDACTION, current_redaction
@@ -107,6 +108,22 @@ class LayerWriter:
         write_bytes(self._work.path / name, data)
         self._documents[name] = data
 
+    def pack(self, images: pa.Table) -> pa.Table:
+        """Move the written images of the layer side by side into tar archives, frame by frame.
+
+        Args:
+            images: rows of the table IMAGES, whose files this writer has written.
+
+        Returns:
+            The rows, with the images' places in the archives.
+
+        Raises:
+            DatasetError: a file cannot be read or written.
+        """
+        final, work = (folder.relative_to(self.layout.root).as_posix() for folder in (self.folder, self._work.path))
+        packed = pack_images(_moved(images, final, work), self.layout.root, work)
+        return _moved(packed, work, final)
+
     def finish(
         self, table: Table, data: pa.Table | Sequence[Mapping[str, Any]], derived_from: Mapping[str, str] | None = None
     ) -> None:
@@ -151,6 +168,12 @@ class LayerWriter:
         return DatasetError(
             "the layer exists already", file=self.folder, remedy="write it under another version, side by side"
         )
+
+
+def _moved(images: pa.Table, before: str, after: str) -> pa.Table:
+    """Rows whose files lie in another folder."""
+    uris = [f"{after}{uri.removeprefix(before)}" for uri in images.column("uri").to_pylist()]
+    return images.set_column(images.column_names.index("uri"), images.schema.field("uri"), pa.array(uris, pa.string()))
 
 
 def remove_layer(folder: Path) -> None:

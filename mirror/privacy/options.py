@@ -63,6 +63,8 @@ class DeidentifyOptions:
         timeout_s: longest time that the detectors may take for one image.
         withhold_failed: complete traversals without the images that failed; their rows stay raw, and a release leaves
             them out.
+        shards: write the redacted images of a traversal side by side into tar archives; False: a file each; None: as
+            its recorded images are. A layer that is complete stays as it is.
         executor: where detectors search; None: in processes of this machine, side by side in one traversal. On a
             cluster each worker takes a traversal at a time, and searches it in one process beside it.
     """
@@ -76,6 +78,7 @@ class DeidentifyOptions:
     workers: int = 1
     timeout_s: float = 120.0
     withhold_failed: bool = False
+    shards: bool | None = None
     executor: ExecutorChoice | None = None
 
 

@@ -18,6 +18,7 @@ from mirror.dataset import open as open_dataset
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.derived_layer import find_missing
+from mirror.dataset.images.shards import is_shard
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.layout import Layout, require_dataset
@@ -264,7 +265,10 @@ def _traversal(
         if task.key in regions
     }
     bar.status(f"writing {traversal_id}")
-    write_layers(layout, traversal_id, rows, regions, skipped, configuration, workers=options.workers)
+    in_shards = options.shards
+    if in_shards is None:
+        in_shards = any(is_shard(task.row["uri"]) for task in tasks)
+    write_layers(layout, traversal_id, rows, regions, skipped, configuration, workers=options.workers, shards=in_shards)
     report.written.append(traversal_id)
     report.images += len(rows)
     for key, found in regions.items():

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Final
 
+import pyarrow as pa
+
 from mirror.dataset.derived_layer import DerivedLayer
 from mirror.dataset.images.binary_mask import encode_mask
 from mirror.dataset.images.video_decoders import VideoDecoders
@@ -69,6 +71,7 @@ def write_layers(
     configuration: Configuration,
     *,
     workers: int,
+    shards: bool = False,
 ) -> None:
     """Write the layer of masks, then the layer of redacted images, which is complete with its log or absent.
 
@@ -82,6 +85,7 @@ def write_layers(
         skipped: tiles that were not searched, by image.
         configuration: detectors and operators.
         workers: number of threads.
+        shards: write the images side by side into tar archives, frame by frame; masks are a file each.
 
     Raises:
         DatasetError: an image cannot be read or written; a layer of another configuration exists.
@@ -127,7 +131,8 @@ def write_layers(
     if masks is not None and mask_rows:
         masks.finish(MASKS, mask_rows, {_SEARCHED: searched})
     images.document(LOG, encode_log(records))
-    images.finish(IMAGES, image_rows, {_SEARCHED: searched})
+    table = pa.Table.from_pylist(image_rows, schema=IMAGES.schema)
+    images.finish(IMAGES, images.pack(table) if shards else table, {_SEARCHED: searched})
 
 
 def _hash_searched(rows: Mapping[ImageKey, Mapping[str, Any]], regions: Mapping[ImageKey, Sequence[Region]]) -> str:

@@ -78,6 +78,7 @@ def _metadata(view: SceneView) -> Iterator[Finding]:
     images, store = view.all_images, view.dataset.store
     codes, words = images.text_codes("privacy")
     redacted = np.isin(codes, [code for code, word in enumerate(words) if word == "redacted"])
+    offset, length = images.integers("byte_offset"), images.integers("byte_length")
     bad = np.zeros(len(images), np.bool_)
     held: dict[int, str] = {}
     for row in np.flatnonzero(redacted).tolist():
@@ -86,7 +87,7 @@ def _metadata(view: SceneView) -> Iterator[Finding]:
         if not isinstance(place, Path) or not place.is_file():
             continue
         try:
-            found = list_metadata(place.read_bytes(), uri)
+            found = list_metadata(store.read_range(uri, int(offset[row]), int(length[row])), uri)
         except MirrorError:
             # The rules of IMG name the fault.
             continue

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.redaction import REDACTION, newest_redaction
+from mirror.dataset.store import Store
 from mirror.dataset.unfinished_work import DEIDENTIFICATION
 from mirror.errors import DatasetError
 from mirror.pages.rendering import read_script, render_page, script_data
@@ -52,7 +53,8 @@ class ReviewSession:
         require_dataset(layout)
         self._path = root / DEIDENTIFICATION / REVIEWS
         self._reviewer = reviewer
-        self._uris: dict[str, Path] = {}
+        self._store = Store(root)
+        self._places: dict[str, tuple[str, int, int]] = {}
         records: list[ImageRecord] = []
         for folder in sorted((root / "traversals").glob("*")):
             newest = newest_redaction(layout.layers(folder.name))
@@ -61,7 +63,7 @@ class ReviewSession:
             layer = layout.layer(folder.name, REDACTION, *newest)
             records += read_log(layer / LOG)
             for row in read_table(layer / "images.parquet", IMAGES).to_pylist():
-                self._uris[row["sha256"].hex()] = root / row["uri"]
+                self._places[row["sha256"].hex()] = row["uri"], row["byte_offset"], row["byte_length"]
         if not records:
             raise DatasetError(
                 "no redacted images", file=root, expected="a dataset that was de-identified",
@@ -92,7 +94,7 @@ class ReviewSession:
     def image(self, out_sha256: str) -> bytes | None:
         """Return the bytes of an image of the sample; None if there is no such image."""
         known = {record.out_sha256 for record in self.sample}
-        return self._uris[out_sha256].read_bytes() if out_sha256 in known else None
+        return self._store.read_range(*self._places[out_sha256]) if out_sha256 in known else None
 
     def page(self) -> str:
         """Render the page."""

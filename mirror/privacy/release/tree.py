@@ -129,9 +129,9 @@ def _write_recorded(
             _require_source(hashes, records[key], original[key], layer / LOG)
             data = _read(source, row, row["sha256"])
             stamp = row["timestamp_ns"] + renaming.shift_ns
-            name = f"{row['camera']}/{stamp}{PurePosixPath(row['uri']).suffix}"
+            name = f"{row['camera']}/{stamp}{'.png' if row['codec'] == 'png' else '.jpg'}"
             write_bytes(folder / name, data)
-            out_rows.append({**row, "uri": f"traversals/{new}/recorded/{name}"})
+            out_rows.append({**row, "uri": f"traversals/{new}/recorded/{name}", "byte_offset": 0})
             change = {"traversal_id": new, "timestamp_ns": stamp, "source_sha256": None}
             report.records.append(records[key].model_copy(update=change))
             report.recorded.append((old, original[key]))
@@ -267,7 +267,7 @@ def _content(layout: Layout, traversal_id: str) -> str:
 def _read(layout: Layout, row: Mapping[str, Any], sha256: bytes) -> bytes:
     path = require_inside(layout.root, row["uri"])
     try:
-        data = path.read_bytes()
+        data = Store(layout.root).read_range(row["uri"], row.get("byte_offset", 0), row["byte_length"])
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror or error}", file=path) from error
     if hashlib.sha256(data).digest() != sha256:

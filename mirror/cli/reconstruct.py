@@ -152,7 +152,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.dataset.working_copy import update_working_copy
     from mirror.dataset.writing import naming_option, open_to_write
     from mirror.methods.hosting import reconstruct
-    from mirror.methods.training_images import list_scored_training_images
+    from mirror.methods.training_images import list_scored_training_images, list_withheld_images
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
 
@@ -185,9 +185,8 @@ def main(argv: Sequence[str]) -> int:
         device=device.name,
         devices=tuple(one.name for one in devices) if len(devices) > 1 else (),
         executor=executor,
-        withheld=list_scored_training_images(dataset, scaled, arguments.split, scene)
-        if arguments.hold_out
-        else frozenset(),
+        withheld=list_withheld_images(training)
+        | (list_scored_training_images(dataset, scaled, arguments.split, scene) if arguments.hold_out else frozenset()),
     )
     with progress_bar(quiet=arguments.json) as bar, naming_option(Path(arguments.dataset), "--layers FOLDER"):
         result = reconstruct(arguments.method, method, dataset, task, arguments.out, bar)

@@ -94,6 +94,16 @@ def list_scored_training_images(dataset: Dataset, protocol: Protocol, split: str
     return list_scored_images(plan_views(dataset.where(scene=scene), training_only, split))
 
 
+def list_withheld_images(dataset: Dataset) -> frozenset[ImageKey]:
+    """List the images of a view that a published dataset withholds, which no method can read; none of a whole dataset.
+
+    Args:
+        dataset: the view, such as the training traversals of a scene.
+    """
+    rows = dataset.where(withheld=True).table("images", ["traversal_id", "camera", "timestamp_ns"]).to_pylist()
+    return frozenset((row["traversal_id"], row["camera"], row["timestamp_ns"]) for row in rows)
+
+
 def list_scored_images(plan: Plan) -> frozenset[ImageKey]:
     """Return the recorded images that are the truth of a view; none for a moved view."""
     moved = {group.name for group in plan.protocol.groups if group.ego_shift_m != 0.0}

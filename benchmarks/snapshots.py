@@ -1,15 +1,16 @@
 """Measures what snapshots of the index cost: appending a drive, opening, and an ingest without news.
 
-``python -m benchmarks snapshots [--traversals N]`` prints, for a scene of 10 and of N traversals: processor time of
-appending the drives of five runs to the index, requests and processor time of `mirror.open`, and processor time a drive
-of telling that the dataset has it unchanged. The drives are small: what grows with the dataset shows.
+``python -m benchmarks snapshots [--traversals N] [--rounds N]`` prints, for a scene of 10 and of N traversals:
+processor time of appending the drives of five runs to the index, requests and processor time of `mirror.open`, and
+processor time a drive of telling that the dataset has it unchanged. The drives are small: what grows with the dataset
+shows. Then another process opens a dataset again and again during 100 rounds of append and compaction, and requires
+whole snapshots.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,13 +21,13 @@ from mirror.dataset.index import append_drives, build_index
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, ExitCode
 from mirror.ingest.known_drives import KnownDrives
-from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
+from tests.builders.dataset import Builder
+from tests.builders.snapshot_reader import read_while_changing, write_drive
 
 SMALL = 10
 FINGERPRINT = "0" * 64
 """Of the recordings and options of `Builder`."""
 
-ROUNDS = 100
 RUNS = 5
 OPENINGS = 20
 
@@ -35,66 +36,26 @@ def main(argv: Sequence[str]) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(prog="benchmarks snapshots", description=__doc__)
     parser.add_argument("--traversals", type=int, default=1000, help="in the scene of the larger dataset")
-    traversals = parser.parse_args(argv).traversals
+    parser.add_argument("--rounds", type=int, default=100, help="of append and compaction beside a reader")
+    options = parser.parse_args(argv)
+    traversals, rounds = options.traversals, options.rounds
     with tempfile.TemporaryDirectory() as folder:
         small = _measure(Path(folder) / "small", SMALL)
         large = _measure(Path(folder) / "large", traversals)
-        seen = _read_while_appending(Path(folder) / "changing")
+        openings, seen = read_while_changing(Path(folder) / "changing", rounds)
     print(f"{'':32} {SMALL:>12} {traversals:>12}")
     for name in small:
         print(f"{name:32} {small[name]:12.3f} {large[name]:12.3f}")
-    print(f"{ROUNDS} rounds of append and compaction: {seen} openings, each of a whole snapshot")
+    print(f"{rounds} rounds of append and compaction: {openings} openings of {seen} snapshots, all of them whole")
     return ExitCode.DONE
-
-
-def _read_while_appending(root: Path) -> int:
-    """Append a drive and make the index compact again and again, while a reader opens the dataset.
-
-    Returns:
-        How often the reader opened it.
-
-    Raises:
-        DatasetError: the reader saw a part of a snapshot.
-    """
-    builder = Builder(root, cameras=("front_wide",))
-    builder.scene("a")
-    _drive(builder, 0)
-    build_index(root)
-    stop, seen, errors = threading.Event(), 0, []
-
-    def read() -> None:
-        nonlocal seen
-        try:
-            while not stop.is_set():
-                dataset = mirror.open(root)
-                rows = dataset.table("images", ["traversal_id"]).column(0).to_pylist()
-                if len(rows) != 3 * len(dataset.traversals()) or len(set(rows)) != len(dataset.drives()):
-                    raise DatasetError(f"snapshot {dataset.snapshot} has {len(rows)} images", file=root)
-                seen += 1
-        except Exception as error:  # noqa: BLE001 - it is raised in the thread that waits
-            errors.append(error)
-
-    reader = threading.Thread(target=read)
-    reader.start()
-    try:
-        for number in range(1, ROUNDS + 1):
-            append_drives(builder.layout, [_drive(builder, number)])
-            if number % 2:
-                build_index(root, compact=True)
-    finally:
-        stop.set()
-        reader.join()
-    if errors:
-        raise errors[0]
-    return seen
 
 
 def _measure(root: Path, traversals: int) -> dict[str, float]:
     builder = Builder(root, cameras=("front_wide",))
     builder.scene("a")
-    drives = [_drive(builder, number) for number in range(traversals)]
+    drives = [write_drive(builder, number) for number in range(traversals)]
     build_index(root)
-    added = [_drive(builder, traversals + number) for number in range(RUNS)]
+    added = [write_drive(builder, traversals + number) for number in range(RUNS)]
     start = time.process_time()
     for drive_id in added:
         append_drives(builder.layout, [drive_id])
@@ -121,11 +82,6 @@ def _measure(root: Path, traversals: int) -> dict[str, float]:
         "ingest without news, listings": listed,
         "ingest without news, files read": opened,
     }
-
-
-def _drive(builder: Builder, number: int) -> str:
-    builder.drive(f"d{number:05}", [Pass("a", EPOCH + number * 10 * SECOND, frames=3)])
-    return f"d{number:05}"
 
 
 def _requests(root: Path) -> int:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 
 import pyarrow as pa
@@ -199,13 +200,13 @@ class Dataset:
             2
         """
         added = Filters(
-            scene=self._known("scene", scene, lambda: self._all("scenes", "scene_id")),
-            traversal=self._known("traversal", traversal, lambda: self._all("traversals", "traversal_id")),
-            drive=self._known("drive", drive, lambda: self._all("passes", "drive_id")),
-            camera=self._known("camera", camera, self._all_cameras),
-            vehicle=self._known("vehicle", vehicle, lambda: self._all("traversals", "vehicle_id")),
-            light=self._known("light", light, lambda: {*_LIGHT, *self._all("traversals", "light")}),
-            weather=self._known("weather", weather, lambda: {*_WEATHER, *self._all("traversals", "weather")}),
+            scene=self._known("scene", scene, self._values("scenes", "scene_id")),
+            traversal=self._known("traversal", traversal, self._values("traversals", "traversal_id")),
+            drive=self._known("drive", drive, self._values("passes", "drive_id")),
+            camera=self._known("camera", camera, self._values("traversals", "cameras")),
+            vehicle=self._known("vehicle", vehicle, self._values("traversals", "vehicle_id")),
+            light=self._known("light", light, chain([_LIGHT], self._values("traversals", "light"))),
+            weather=self._known("weather", weather, chain([_WEATHER], self._values("traversals", "weather"))),
             time=parse_interval(time),
             within=() if within is None else (self._circle(within),),
             withheld=None if withheld is None else frozenset([bool(withheld)]),
@@ -382,16 +383,23 @@ class Dataset:
             return {tuple(value) for value in values.to_pylist()}
         return set(pc.unique(values).to_pylist())
 
-    def _all_cameras(self) -> set[str]:
-        return {name for names in self._all("traversals", "cameras") for name in names}
+    def _values(self, table: str, column: str) -> Iterator[Iterable[str]]:
+        """Yield the values of a column of a global table, segment by segment."""
+        for values in self._catalog.read_by_segment(table, column):
+            flat = pc.list_flatten(values) if pa.types.is_list(values.type) else values
+            yield pc.unique(flat).to_pylist()
 
-    def _known(self, what: str, choice: Choice, known: Callable[[], Iterable[str]]) -> frozenset[str] | None:
+    def _known(self, what: str, choice: Choice, known: Iterable[Iterable[str]]) -> frozenset[str] | None:
         if choice is None:
             return None
         chosen = frozenset([choice] if isinstance(choice, str) else choice)
-        values = set(known())
-        for value in sorted(chosen - values, key=str):
-            require_known(what, value, values)
+        seen: set[str] = set()
+        for values in known:
+            seen.update(values)
+            if chosen <= seen:
+                return chosen
+        for value in sorted(chosen - seen, key=str):
+            require_known(what, value, seen)
         return chosen
 
     def _circle(self, within: Within) -> Circle | LocalCircle:
@@ -413,7 +421,7 @@ class Dataset:
     def _in_split(self, split: str, role: Choice) -> frozenset[str]:
         assignments = self._assignments(split)
         assigned = sorted(set(assignments.values()))
-        roles = self._known("role", role, lambda: (value for value in get_args(Role) if value != "unused"))
+        roles = self._known("role", role, [[value for value in get_args(Role) if value != "unused"]])
         if roles is not None and roles.isdisjoint(assigned):
             raise UsageError(
                 f"no traversal has the role {' or '.join(map(repr, sorted(roles)))} in split {split!r}",

@@ -21,6 +21,7 @@ from mirror.schema.version import DATASET_VERSION
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 from tests.builders.folder import compact_tree, tree
 from tests.builders.index import segment_folder, segment_names, tables_of
+from tests.builders.snapshot_reader import read_while_changing, require_whole, write_drive
 from tests.golden.half_done import unpack
 
 STEP = 50 * SECOND
@@ -106,6 +107,19 @@ def test_runs_that_end_together_all_get_their_snapshot(tmp_path: Path) -> None:
     # A reader sees each snapshot whole: a drive more, with its images.
     assert seen and all(drives == snapshot and images == 2 * drives for snapshot, drives, images in seen)
     assert mirror.open(tmp_path).drives() == [f"d{number}" for number in range(9)]
+
+
+def test_another_process_sees_whole_snapshots_during_rounds_of_append_and_compaction(tmp_path: Path) -> None:
+    openings, snapshots = read_while_changing(tmp_path / "changing", 8)
+    assert openings >= snapshots >= 2
+    # What it requires is not met by a dataset that lost a drive.
+    builder = Builder(tmp_path / "lost", cameras=("front_wide",))
+    builder.scene("a")
+    for number in (0, 2):
+        write_drive(builder, number)
+    build_index(builder.root)
+    with pytest.raises(DatasetError, match="snapshot 1: drives"):
+        require_whole(mirror.open(builder.root))
 
 
 def test_opening_asks_three_times_however_many_drives_there_are(

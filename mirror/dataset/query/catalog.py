@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -23,8 +23,10 @@ from mirror.dataset.query.arrow import (
 )
 from mirror.dataset.query.columns import ColumnCache
 from mirror.dataset.query.files import TableFiles
+from mirror.dataset.query.filters import Filters
 from mirror.dataset.store import Store
 from mirror.dataset.withheld import read_withheld
+from mirror.schema.finished_work import hash_values
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.snapshot import IndexSegment, IndexSnapshot
 
@@ -39,6 +41,8 @@ _VISIBLE_BY: Final = {
 """The column by which a row of a segment is read or left out."""
 _ORDER: Final = {"row_groups": ("table", "scene_id", "traversal_id")}
 """Row groups of several files have equal numbers."""
+_NARROWED: Final = 4
+"""Catalogs of some segments that are kept: each has the row groups of all that is in them."""
 _COUNTED: Final = ("traversals", "drives", "images", "duration_s")
 
 
@@ -79,10 +83,12 @@ class Catalog:
         snapshot: the snapshot.
     """
 
-    def __init__(self, store: Store, snapshot: IndexSnapshot) -> None:
+    def __init__(self, store: Store, snapshot: IndexSnapshot, columns: ColumnCache | None = None) -> None:
         self.store = store
         self.snapshot = snapshot
-        self.columns = ColumnCache(TableFiles(store, snapshot))
+        self.columns = ColumnCache(TableFiles(store, snapshot)) if columns is None else columns
+        self._key = hash_values([segment.name for segment in snapshot.segments])
+        self._narrowed: dict[tuple[str, ...], Catalog] = {}
         self._groups: dict[str, RowGroups] = {}
         self._by_traversal: dict[str, dict[int, int]] = {}
         self._orders: dict[str, pa.Array] = {}
@@ -99,17 +105,68 @@ class Catalog:
 
     def read_global(self, name: str, columns: Sequence[str]) -> pa.Table:
         """Read columns of a global table with all rows; each column is one chunk."""
-        parts = [self._read_segment(segment, name, columns) for segment in self.snapshot.segments]
-        if not parts:
+        if not self.snapshot.segments:
             return _schema(name, columns).empty_table()
         if self.is_compact:
-            return parts[0]
+            return self._read_segment(self.snapshot.segments[0], name, columns)
+        arrays = self.columns.join(f"{name}@{self._key}", columns, lambda missing: self._join(name, missing))
+        return pa.Table.from_arrays(arrays, schema=_schema(name, columns))
+
+    def _join(self, name: str, columns: Sequence[str]) -> pa.Table:
+        """Columns of a global table over all segments, in the table's order."""
+        parts = [self._read_segment(segment, name, columns) for segment in self._segments_with(name)]
+        if not parts:
+            return _schema(name, columns).empty_table()
         table = pa.concat_tables(parts).unify_dictionaries().combine_chunks().take(self._order(name)).combine_chunks()
         for column in (one for one in columns if name == "scenes" and one in _COUNTED):
             field = TABLES[name].schema.field(column)
             values = [self._scene_counts[scene_id][column] for scene_id in self._scene_ids]
             table = table.set_column(list(columns).index(column), field, [pa.array(values, field.type)])
         return table
+
+    def _segments_with(self, name: str) -> Sequence[IndexSegment]:
+        """The segments that may have rows of a global table."""
+        # Runs that add drives to known scenes add no scene.
+        return [one for one in self.snapshot.segments if one.scenes or name != "scenes"]
+
+    def read_by_segment(self, name: str, column: str) -> Iterator[pa.Array]:
+        """Yield a column of a global table segment by segment, the one with most drives first.
+
+        A value that occurs in the first segment is found without opening the others.
+        """
+        for segment in sorted(self._segments_with(name), key=lambda one: -len(one.drives)):
+            yield self._read_segment(segment, name, [column]).column(0)
+
+    def narrow(self, filters: Filters) -> Catalog:
+        """Return a catalog of the segments that may have rows of traversals that pass the filters.
+
+        Tables of other segments are not opened: a segment names its drives in the snapshot, and its scenes in its
+        manifest.
+        """
+        drives, scenes = filters.drive, filters.scene
+        if filters.traversal is not None:
+            # `scene.drive.entry_ms`, and ids have no full stops.
+            parts = [one.partition(".") for one in filters.traversal]
+            drives = _common(drives, frozenset(rest.partition(".")[0] for _, _, rest in parts))
+            scenes = _common(scenes, frozenset(scene_id for scene_id, _, _ in parts))
+        segments = self.snapshot.segments
+        if drives is not None:
+            segments = tuple(one for one in segments if not drives.isdisjoint(one.drives))
+        if scenes is not None and len(segments) > 1:
+            keys = frozenset(f"scene:{scene_id}" for scene_id in scenes)
+            segments = tuple(one for one in segments if not keys.isdisjoint(self._sources[one.name]))
+        # No rows of one segment are none either.
+        segments = segments or self.snapshot.segments[:1]
+        if len(segments) == len(self.snapshot.segments):
+            return self
+        names = tuple(one.name for one in segments)
+        found = self._narrowed.pop(names, None)
+        if found is None:
+            found = Catalog(self.store, self.snapshot.model_copy(update={"segments": segments}), self.columns)
+        self._narrowed[names] = found
+        while len(self._narrowed) > _NARROWED:
+            self._narrowed.pop(next(iter(self._narrowed)))
+        return found
 
     def _read_segment(self, segment: IndexSegment, name: str, columns: Sequence[str]) -> pa.Table:
         """The rows of one segment that are read."""
@@ -134,11 +191,17 @@ class Catalog:
         """The rows of all segments in the table's order."""
         if name not in self._orders:
             keys = list(_ORDER.get(name, TABLES[name].sorted_by))
-            parts = [self._read_segment(segment, name, keys) for segment in self.snapshot.segments]
+            parts = [self._read_segment(segment, name, keys) for segment in self._segments_with(name)]
             plain = pa.schema([pa.field(key, _plain_type(TABLES[name].schema.field(key).type)) for key in keys])
             table = pa.concat_tables([part.cast(plain) for part in parts])
             self._orders[name] = pc.sort_indices(table, sort_keys=[(key, "ascending") for key in keys])
         return self._orders[name]
+
+    @cached_property
+    def _sources(self) -> Mapping[str, frozenset[str]]:
+        """The inputs of each segment, as `scene:<scene_id>` and others, by the segment's name."""
+        manifests = self.columns.files.manifests([segment.name for segment in self.snapshot.segments])
+        return {name: frozenset(manifest.derived_from) for name, manifest in manifests.items()}
 
     @cached_property
     def _scene_ids(self) -> list[str]:
@@ -219,6 +282,10 @@ class Catalog:
 
 def _schema(name: str, columns: Sequence[str]) -> pa.Schema:
     return pa.schema([TABLES[name].schema.field(key) for key in columns])
+
+
+def _common(one: frozenset[str] | None, other: frozenset[str]) -> frozenset[str]:
+    return other if one is None else one & other
 
 
 def _plain_type(kind: pa.DataType) -> pa.DataType:

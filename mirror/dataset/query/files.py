@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Final, TypeAlias
 
 import pyarrow as pa
@@ -44,7 +44,7 @@ class TableFiles:
     def __init__(self, store: Store, snapshot: IndexSnapshot) -> None:
         self.store = store
         self._segments = {segment.name: segment for segment in snapshot.segments}
-        self._entries: dict[str, Mapping[str, FileEntry]] = {}
+        self._manifests: dict[str, Manifest] = {}
         self._open: OrderedDict[str, pq.ParquetFile] = OrderedDict()
         self._hashed: dict[str, _Identity] = {}
 
@@ -124,15 +124,24 @@ class TableFiles:
                 self._hashed[path] = identity
         return True
 
+    def manifests(self, segments: Collection[str]) -> Mapping[str, Manifest]:
+        """Read the manifests of segments, by name; remote ones are fetched in parallel.
+
+        Raises:
+            DatasetError: one is missing, or is not the one that the snapshot names.
+            SchemaError: one is broken.
+        """
+        paths = {name: f"{_INDEX}{name}/{MANIFEST}" for name in segments if name not in self._manifests}
+        found = self.store.read_many(list(paths.values()))
+        for name, path in paths.items():
+            if path not in found or sha256_bytes(found[path]) != self._segments[name].manifest:
+                raise self._changed_error(path)
+            self._manifests[name] = parse_json(found[path], Manifest, self.store.full_path(path))
+        return {name: self._manifests[name] for name in segments}
+
     def _entries_of(self, segment: str) -> Mapping[str, FileEntry]:
         """Sizes and hashes of the files of a segment, by name."""
-        if segment not in self._entries:
-            path = f"{_INDEX}{segment}/{MANIFEST}"
-            data = self.store.read(path)
-            if sha256_bytes(data) != self._segments[segment].manifest:
-                raise self._changed_error(path)
-            self._entries[segment] = parse_json(data, Manifest, self.store.full_path(path)).files
-        return self._entries[segment]
+        return self.manifests([segment])[segment].files
 
     def _changed_error(self, path: str) -> DatasetError:
         root = self.store.root

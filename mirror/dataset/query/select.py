@@ -52,6 +52,7 @@ class RowGroupPart:
 
 def read_rows(catalog: Catalog, filters: Filters, name: str, columns: Sequence[str]) -> pa.Table:
     """Read the rows of a table that pass, in the table's order."""
+    catalog = _narrowed(catalog, filters, name)
     schema = pa.schema([TABLES[name].schema.field(column) for column in columns])
     if name in GLOBAL:
         return catalog.read_global(name, columns).filter(to_arrow_mask(_global_mask(catalog, filters, name)))
@@ -66,9 +67,16 @@ def read_rows(catalog: Catalog, filters: Filters, name: str, columns: Sequence[s
 
 def count_rows(catalog: Catalog, filters: Filters, name: str) -> int:
     """Count the rows of a table that pass; row groups that pass as a whole are not read."""
+    catalog = _narrowed(catalog, filters, name)
     if name in GLOBAL:
         return int(_global_mask(catalog, filters, name).sum())
     return sum(part.rows for part in select_parts(catalog, filters, name))
+
+
+def _narrowed(catalog: Catalog, filters: Filters, name: str) -> Catalog:
+    """The catalog of the segments that may have the rows."""
+    # Scenes count the traversals of all segments, and passes may be refused, of which manifests say nothing.
+    return catalog if name in ("scenes", "passes") else catalog.narrow(filters)
 
 
 def select_parts(catalog: Catalog, filters: Filters, name: str) -> Iterator[RowGroupPart]:

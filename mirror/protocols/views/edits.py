@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mirror.arrays import Float64, Int64
@@ -29,6 +31,9 @@ class EditPlanner:
         shifts = {group.vehicle_shift_m for group in protocol.groups if group.vehicle_shift_m is not None}
         self._shifts = sorted(shifts)
         self._is_requested: dict[tuple[str, int, str], bool] = {}
+        # All cameras of a frame follow each other: its boxes are read once, and its edits are computed once.
+        self._selected: tuple[tuple[str, int], _Vehicles] | None = None
+        self._edits: tuple[tuple[str, int, str], tuple[Edit, ...]] | None = None
 
     def plan_edits(
         self, group: Group, frame: Frame, name: str, camera: Camera, world_SE3_camera: Poses
@@ -45,28 +50,63 @@ class EditPlanner:
         vehicles = self._vehicles
         if vehicles is None or (group.vehicle_shift_m is None and not group.without_vehicles):
             return ()
-        boxes = frame.boxes("world")
-        rows = _select_vehicles(boxes, vehicles, frame)
-        recorded, sizes = boxes.pose[rows], boxes.size_m[rows]
         key = (frame.traversal_id, frame.frame_index, name)
         if key not in self._is_requested:
-            self._is_requested[key] = len(rows) > 0 and any(
-                _shows_vehicle(camera, world_SE3_camera, shift_to_left(recorded, shift), sizes, vehicles)
+            selected = self._select(frame, vehicles)
+            self._is_requested[key] = len(selected.recorded) > 0 and any(
+                _shows_vehicle(
+                    camera, world_SE3_camera, shift_to_left(selected.recorded, shift), selected.size_m, vehicles
+                )
                 for shift in self._shifts
             )
-        if not self._is_requested[key]:
-            return None
-        targets = None if group.vehicle_shift_m is None else shift_to_left(recorded, group.vehicle_shift_m)
-        return tuple(
-            Edit(
-                track_id=boxes.track_id[row],
-                category=boxes.category[row],
-                size_m=tuple(sizes[place].tolist()),
-                world_SE3_box=recorded[place : place + 1],
-                world_SE3_target=None if targets is None else targets[place : place + 1],
+        return self._edits_of(group, frame, vehicles) if self._is_requested[key] else None
+
+    def _select(self, frame: Frame, vehicles: Vehicles) -> _Vehicles:
+        key = (frame.traversal_id, frame.frame_index)
+        if self._selected is None or self._selected[0] != key:
+            boxes = frame.boxes("world")
+            rows = _select_vehicles(boxes, vehicles, frame)
+            tracks, categories = (tuple(names[row] for row in rows) for names in (boxes.track_id, boxes.category))
+            self._selected = key, _Vehicles(boxes.pose[rows], boxes.size_m[rows], tracks, categories)
+        return self._selected[1]
+
+    def _edits_of(self, group: Group, frame: Frame, vehicles: Vehicles) -> tuple[Edit, ...]:
+        key = (frame.traversal_id, frame.frame_index, group.name)
+        if self._edits is None or self._edits[0] != key:
+            selected = self._select(frame, vehicles)
+            shift = group.vehicle_shift_m
+            targets = None if shift is None else shift_to_left(selected.recorded, shift)
+            self._edits = (
+                key,
+                tuple(
+                    Edit(
+                        track_id=track,
+                        category=category,
+                        size_m=tuple(selected.size_m[place].tolist()),
+                        world_SE3_box=selected.recorded[place : place + 1],
+                        world_SE3_target=None if targets is None else targets[place : place + 1],
+                    )
+                    for place, (track, category) in enumerate(zip(selected.track_ids, selected.categories))
+                ),
             )
-            for place, row in enumerate(rows.tolist())
-        )
+        return self._edits[1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Vehicles:
+    """The selected vehicles of a frame.
+
+    Attributes:
+        recorded: world_SE3_box of each (N,).
+        size_m: length, width and height (N, 3).
+        track_ids: their tracks.
+        categories: their categories.
+    """
+
+    recorded: Poses
+    size_m: Float64
+    track_ids: tuple[str, ...]
+    categories: tuple[str, ...]
 
 
 def shift_to_left(world_SE3_box: Poses, shift_m: float) -> Poses:

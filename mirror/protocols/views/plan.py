@@ -90,9 +90,9 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str, *, calibrated_s
     document = read_split(dataset.store, split)
     views: list[RenderView] = []
     empty = []
-    editor = EditPlanner(protocol)
+    editor, finals = EditPlanner(protocol), dict[Camera, Camera]()
     for group in protocol.groups:
-        group_views = list(_plan_group(dataset, protocol, split, document, group, editor, calibrated_shutters))
+        group_views = list(_plan_group(dataset, protocol, split, document, group, editor, finals, calibrated_shutters))
         views += group_views
         if not group_views:
             empty.append(group.name)
@@ -135,6 +135,7 @@ def _plan_group(
     document: SplitDocument,
     group: Group,
     editor: EditPlanner,
+    finals: dict[Camera, Camera],
     calibrated_shutters: bool,
 ) -> Iterator[RenderView]:
     rolls = calibrated_shutters or protocol.pixels.shutter == "calibrated"
@@ -144,7 +145,6 @@ def _plan_group(
     if protocol.frames.cameras is not None:
         selected = selected.where(camera=protocol.frames.cameras)
     table = selected.table("traversals", ["traversal_id", "light", "weather"]).to_pylist()
-    finals: dict[Camera, Camera] = {}
     for row in table:
         frames = selected.where(traversal=row["traversal_id"]).frames()
         for position in select_frames(len(frames), protocol.frames):

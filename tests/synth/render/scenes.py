@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.geometry.cameras import Camera
 from mirror.synth.light.condition import Condition, Effects
-from mirror.synth.light.lighting import LIGHTING, compute_lighting
+from mirror.synth.light.lighting import LIGHTING, Lighting, compute_lighting
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import FACE, ROUND, Label, Material, Model, block, ellipsoid, flat, merge_models, polygons, tube
 from mirror.synth.render.binning import bounding_spheres
@@ -31,8 +32,17 @@ LENSES = {
 }
 
 
+@cache
 def lens_of(name: str) -> Lens:
+    """A lens, made once; tests do not change it."""
     return make_lens(LENSES[name])
+
+
+@cache
+def lighting_of(light: str, weather: str, effects: Effects) -> Lighting:
+    """Light on a summer's day, computed once; tests do not change it."""
+    start = instant_of("2025-06-01", light, 8.4, 49.0)  # type: ignore[arg-type]
+    return compute_lighting(Condition(start, light, weather, effects=effects), 8.4, 49.0)  # type: ignore[arg-type]
 
 
 def random_model(rng: np.random.Generator, count: int = 60, spread_m: float = 25.0) -> Model:
@@ -77,8 +87,7 @@ def surroundings(
     shadow: ShadowMap | None = None,
 ) -> Surroundings:
     """A model in a condition, with the given shadows only and level ground."""
-    start = instant_of("2025-06-01", light, 8.4, 49.0)  # type: ignore[arg-type]
-    given = compute_lighting(Condition(start, light, weather, effects=effects), 8.4, 49.0)  # type: ignore[arg-type]
+    given = lighting_of(light, weather, effects)
     maps = np.zeros(1, MAPS)
     maps["sun_axes"] = sun_axes(np.array(given.record["sun"]))
     shadow = ShadowMap.none() if shadow is None else shadow

@@ -108,7 +108,7 @@ def test_pixel_shares_equal_the_covered_areas() -> None:
         ]
         # The polygon lies in the image plane, 120 px in front of the camera.
         points = np.array([(120.0, -x, -y * 120.0 / 121.0) for x, y in corners])
-        points = points if np.cross(points[1] - points[0], points[2] - points[1])[0] < 0 else points[::-1]
+        points = points if np.cross(points[1] - points[0], points[2] - points[1])[0] < 0 else points[::-1].copy()
         model = polygon(points, (0.5, 0.5, 0.5), Material.PLAIN, Label.BUILDING)
         view = rasterize_view(surroundings(model), lens, AHEAD, np.zeros(3))
         share = (view.surface == 0).astype(float)

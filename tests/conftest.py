@@ -5,10 +5,13 @@ from __future__ import annotations
 import fcntl
 import gc
 import os
+import resource
 import signal
 import sys
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +22,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import pytest
 from hypothesis import settings
+
+from tests.draws import PROFILE, draws
 
 if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
@@ -31,11 +36,15 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # The first example of a test may compile a kernel, and machines that run tests are loaded. The examples are the same in
 # each run: one commit passes or fails, wherever it is tested. HYPOTHESIS_PROFILE=explore draws others.
-settings.register_profile("mirror", deadline=None, derandomize=True)
+settings.register_profile("mirror", deadline=None, derandomize=True, max_examples=draws(100))
+settings.register_profile("whole", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None, max_examples=500, print_blob=True)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "mirror"))
+settings.load_profile(PROFILE)
 
 ROOT = Path(__file__).resolve().parents[1]
+CORE_SECONDS = "core_s"
+ROOM_S = 45.0
+"""What the tests of a room may take of a core (CONTRIBUTING.md)."""
 
 
 # What the collection of tests imports and makes stays: searching it for garbage takes a quarter of its time.
@@ -45,9 +54,11 @@ gc.disable()
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop() -> None:
     """Leave all that was imported out of garbage collections, which would walk through it again and again."""
+    global _reported_s
     gc.collect()
     gc.freeze()
     gc.enable()
+    _reported_s = _processor_time_s()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -69,6 +80,38 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         resolve_device("cuda", splats=marker.kwargs.get("splats", False))
     except UsageError as error:
         pytest.skip(f"needs a GPU: {error.problem}")
+
+
+def _processor_time_s() -> float:
+    """Processor time of this process and of those that it started and that have ended."""
+    used = [resource.getrusage(whose) for whose in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+_reported_s: float = 0.0
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Note in each report the processor time since the last one."""
+    global _reported_s
+    report = yield
+    now = _processor_time_s()
+    report.user_properties.append((CORE_SECONDS, now - _reported_s))
+    _reported_s = now
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """List the rooms, folders of tests, that take more of the cores than a room may."""
+    rooms: Counter[str] = Counter()
+    for report in chain.from_iterable(terminalreporter.stats.values()):
+        own = dict(getattr(report, "user_properties", ()))
+        rooms["/".join(report.nodeid.split("/")[:2])] += own.get(CORE_SECONDS, 0.0) if own else 0.0
+    costly = [f"{room} {seconds:.0f} s" for room, seconds in rooms.most_common() if seconds > ROOM_S]
+    if costly:
+        line = f"{sum(rooms.values()):.0f} s of processor time; more than {ROOM_S:.0f} s: {', '.join(costly)}"
+        terminalreporter.write_line(line)
 
 
 @pytest.fixture(autouse=True)
@@ -148,6 +191,25 @@ def tiny_dataset(tiny_recordings: SynthReport, tmp_path_factory: pytest.TempPath
             assert not ingest_recordings(tiny_recordings.recordings, rois, folder / "dataset", IngestOptions()).failures
             make_split(folder / "dataset", "novel", NovelTraversal(train=1, held_out=1))
     return mirror.open(folder / "dataset")
+
+
+@pytest.fixture(scope="session")
+def generator_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A generator and its autoencoder after one step each, whose images are noise, and ``clips`` of their training.
+
+    It is trained with dropped layouts. Tests do not change it.
+    """
+    from hybridworldsim.generation.command import main
+    from tests.generation.clips import write_clips
+
+    with shared_folder(tmp_path_factory) as shared:
+        folder = shared / "generator"
+        if not (folder / "done").exists():
+            clips = write_clips(folder / "clips", count=1)
+            words = ["train", str(clips), "--steps", "1", "--autoencoder-steps", "1", "--batch", "1", "--json"]
+            assert main([*words, "--drop-layout", "0.5", "--out", str(folder / "out")]) == 0
+            (folder / "done").touch()
+    return folder
 
 
 @pytest.fixture(scope="session")

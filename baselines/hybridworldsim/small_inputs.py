@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import product
 from typing import Any
 
+import numpy as np
 import torch
 
 from mirror.compiled import machine_code_only
@@ -19,6 +20,7 @@ def main() -> None:
 def _render() -> None:
     """Render spherical harmonics through a pinhole, a lens and a rolling shutter, and differentiate."""
     from hybridworldsim.rasterizer import RollingShutterType, rasterization
+    from hybridworldsim.rasterizer.covers import covered_before
 
     random = torch.Generator().manual_seed(0)
     viewmats, ks = torch.eye(4)[None], torch.tensor([[[30.0, 0.0, 16.0], [0.0, 30.0, 16.0], [0.0, 0.0, 1.0]]])
@@ -37,8 +39,11 @@ def _render() -> None:
         }
         learnt = {name: part.to(dtype).requires_grad_() for name, part in shape.items()}
         arguments: dict[str, Any] = {**learnt, **camera, **more}
-        shown, _, _ = rasterization(sh_degree=1, backend="cpu", **arguments)
+        shown, _, meta = rasterization(sh_degree=1, backend="cpu", **arguments)
         shown.sum().backward()
+        if not more:
+            # What of a street hides a road user of a rollout.
+            covered_before(meta, np.full((32, 32), 9.0, np.float32))
 
 
 if __name__ == "__main__":

@@ -6,21 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from hybridworldsim.generation.command import main
 from mirror.dataset.dataset import Dataset
-from mirror.errors import ExitCode
-from tests.generation.clips import write_clips
 
 
 @pytest.fixture(scope="session")
-def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def models(generator_models: Path) -> Path:
     """A generator and its autoencoder after one step each: their images are noise, which is enough here."""
-    folder = tmp_path_factory.mktemp("models")
-    clips = write_clips(folder / "clips", count=1)
-    words = ["train", str(clips), "--steps", "1", "--autoencoder-steps", "1", "--batch", "1", "--json"]
-    words += ["--drop-layout", "0.5"]
-    assert main([*words, "--out", str(folder / "out")]) == ExitCode.DONE
-    return folder / "out"
+    return generator_models / "out"
 
 
 @pytest.fixture(scope="session")

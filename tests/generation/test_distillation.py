@@ -95,13 +95,10 @@ def test_few_steps_of_the_student_end_where_many_of_the_teacher_do() -> None:
     assert abs(float(sample(teacher_jump, torch.ones(1), noise_levels(SEGMENTS)) / expected) - 1.0) > 0.02
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("teacher")
-    clips = write_clips(folder / "clips", count=1)
-    words = ["train", str(clips), "--steps", "1", "--autoencoder-steps", "1", "--batch", "1", "--json"]
-    assert main([*words, "--out", str(folder / "out")]) == ExitCode.DONE
-    return folder
+@pytest.fixture
+def trained(generator_models: Path) -> Path:
+    """A folder with clips and the models that were trained on them, which tests do not change."""
+    return generator_models
 
 
 OPTIONS = DistillationOptions(

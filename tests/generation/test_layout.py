@@ -23,6 +23,7 @@ from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.layout.lines import NEAR_M, draw_lines
 from hybridworldsim.generation.layout.map_lines import draw_map
 from mirror.errors import UsageError
+from tests.draws import draws
 from tests.generation.clips import make_clip
 
 LENS = np.array([[30.0, 0.0, 20.0], [0.0, 31.0, 12.0], [0.0, 0.0, 1.0]])
@@ -122,7 +123,7 @@ def test_boxes_agree_with_the_reference(style: BoxStyle) -> None:
         np.testing.assert_allclose(drawn[3], reference_depth(poses, sizes, style.depth_m), atol=1e-6)
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=draws(6), deadline=None)
 @given(st.integers(0, 10_000))
 def test_depth_agrees_with_the_reference(seed: int) -> None:
     poses, sizes, _ = random_boxes(2, seed)

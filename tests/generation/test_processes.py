@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +23,7 @@ from mirror.progress import NullProgress
 from tests.generation.builders import make_network
 from tests.generation.clips import write_clips
 from tests.generation.trained import CODEC, NETWORK, T
+from tests.processes import Running
 
 SETTINGS = GeneratorSettings(NETWORK, T, batch=4, warmup=2, context_noise=0.3, drop_layout=0.5)
 
@@ -41,6 +41,19 @@ def distil(folder: Path, out: Path, settings: GeneratorSettings) -> None:
     distil_on_clips(folder / "clips", *files, out, options, NullProgress())
 
 
+def train_and_distil(folder: str, *ports: str) -> None:
+    """Train and distil in two processes: this one, which has computed nothing, and a fork of it."""
+    # The first optimizer would import it, in both.
+    import torch._dynamo  # noqa: F401
+
+    second = os.fork()
+    os.environ["RANK"] = "0" if second else "1"
+    for name, make, port in zip(("trained", "distilled"), (train, distil), ports):
+        os.environ["MASTER_PORT"] = port
+        make(Path(folder), Path(folder, name), SETTINGS)
+    sys.exit(second and os.waitpid(second, 0)[1])
+
+
 @pytest.fixture(scope="module")
 def together(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with clips and models, and what two processes made of them."""
@@ -49,28 +62,15 @@ def together(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.manual_seed(0)
     write_autoencoder(folder / "autoencoder.safetensors", TinyAutoencoder(CODEC))
     write_generator(folder / "teacher.safetensors", make_network(NETWORK).float(), T)
-    # The second process is a fork of the first one, which has imported the libraries and computed nothing.
-    script = (
-        "import os, sys; from pathlib import Path\n"
-        "import torch._dynamo\n"  # The first optimizer would import it.
-        "from tests.generation.test_processes import SETTINGS, distil, train\n"
-        "folder, ports = Path(sys.argv[1]), sys.argv[2:]\n"
-        "second = os.fork()\n"
-        "os.environ['RANK'] = '0' if second else '1'\n"
-        "for name, make, port in zip(('trained', 'distilled'), (train, distil), ports):\n"
-        "    os.environ['MASTER_PORT'] = port\n"
-        "    make(folder, folder / name, SETTINGS)\n"
-        "sys.exit(second and os.waitpid(second, 0)[1])\n"
-    )
-    with socket.socket() as one, socket.socket() as two:
+    with socket.socket() as one, socket.socket() as two, pytest.MonkeyPatch.context() as patch:
         for free in (one, two):
             free.bind(("127.0.0.1", 0))
         ports = [str(free.getsockname()[1]) for free in (one, two)]
-    done = subprocess.run(
-        [sys.executable, "-c", script, str(folder), *ports], capture_output=True, text=True, timeout=240, check=False,
-        env={**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+        patch.setenv("WORLD_SIZE", "2")
+        patch.setenv("MASTER_ADDR", "127.0.0.1")
+        running = Running(train_and_distil, folder, *ports)
+    with running as first, first.reading() as said:
+        assert first.wait() == 0, said()
     return folder
 
 

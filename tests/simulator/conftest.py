@@ -6,14 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from hybridworldsim.generation.command import main as generate
 from hybridworldsim.generation.commands.model_paths import find_model_files
 from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
 from hybridworldsim.generation.scenes.rollout import SceneGenerator
-from mirror.errors import ExitCode
 from mirror.methods.model_document import Costs, Reconstruction
 from mirror.schema.files import write_json
-from tests.generation.clips import write_clips
 from tests.simulator.generated_street import HEIGHT, WIDTH
 
 METHOD = """
@@ -48,14 +45,10 @@ def model(tmp_path: Path) -> Path:
     return tmp_path / "model"
 
 
-@pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="session")
+def models(generator_models: Path) -> Path:
     """A generator and its autoencoder after one step each: their images are noise, which is enough here."""
-    folder = tmp_path_factory.mktemp("generator")
-    clips = write_clips(folder / "clips", count=1)
-    words = ["train", str(clips), "--steps", "1", "--autoencoder-steps", "1", "--batch", "1", "--json"]
-    assert generate([*words, "--out", str(folder / "out")]) == ExitCode.DONE
-    return folder / "out"
+    return generator_models / "out"
 
 
 @pytest.fixture(scope="module")

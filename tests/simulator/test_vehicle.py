@@ -20,6 +20,7 @@ from hybridworldsim.simulator.ego.vehicle import (
     center_velocity,
 )
 from mirror.errors import UsageError
+from tests.draws import draws
 
 CAR = VehicleParameters()
 CONTROLS = st.builds(Controls, st.floats(-12.0, 6.0), st.floats(-0.4, 0.4))
@@ -96,7 +97,7 @@ def test_a_straight_line_has_no_rounding() -> None:
     assert (end.x_m, end.y_m, end.yaw_rad, end.speed_mps) == (30.0, 0.0, 0.0, 10.0)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=draws(150), deadline=None)
 @given(STATES, CONTROLS, st.sampled_from([0.01, 0.1, 0.5]))
 def test_any_controls_agree_with_a_fine_integration(state: EgoState, controls: Controls, duration: float) -> None:
     assert np.allclose(
@@ -104,7 +105,7 @@ def test_any_controls_agree_with_a_fine_integration(state: EgoState, controls: C
     )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=draws(100), deadline=None)
 @given(STATES, CONTROLS)
 def test_the_division_into_steps_does_not_matter(state: EgoState, controls: Controls) -> None:
     whole = advance(CAR, state, controls, 1.0)
@@ -114,7 +115,7 @@ def test_the_division_into_steps_does_not_matter(state: EgoState, controls: Cont
     assert np.allclose(numbers(whole), numbers(parts), rtol=0.0, atol=1e-8)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=draws(100), deadline=None)
 @given(STATES, CONTROLS)
 def test_limits_hold(state: EgoState, controls: Controls) -> None:
     step = 0.05

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -96,9 +97,10 @@ def _require_same(
             )
 
 
-def _keys_of(config: TransformerConfig) -> set[str]:
+@cache
+def _keys_of(config: TransformerConfig) -> frozenset[str]:
     with torch.device("meta"):
-        return set(Transformer(config).state_dict())
+        return frozenset(Transformer(config).state_dict())
 
 
 def _some(names: list[str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import torch
@@ -57,8 +58,9 @@ class TrainingCosts:
         )
 
 
+@lru_cache(maxsize=16)
 def count_costs(settings: GeneratorSettings, size_px: tuple[int, int], views: int, processes: int = 1) -> TrainingCosts:
-    """Count the costs of a step of a training.
+    """Count the costs of a step of a training, of the same settings once in a process.
 
     Args:
         settings: the settings of the training.
@@ -130,8 +132,12 @@ def empty_conditions(
     )
 
 
+@lru_cache(maxsize=16)
 def measure_speed(device: str, precision: str = "float32") -> float:
-    """Return the operations of a product of large matrices a second of a GPU, or a second of a processor's core."""
+    """Return the operations of a product of large matrices a second of a GPU, or a second of a processor's core.
+
+    They are measured once in a process.
+    """
     dtype = torch.bfloat16 if precision == "bf16" else torch.float32
     one, other = (torch.ones(_SIDE, _SIDE, dtype=dtype, device=device) for _ in range(2))
     # Other work on a processor's cores makes a product take longer, not more of their time.

@@ -30,9 +30,11 @@ test: $(STAMP)
 pytest: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
-# Five hundred damaged recordings of every reader, for which `make test` has ten, and what came of them.
+# Five hundred damaged recordings of every reader, for which `make test` has ten, and what came of them; then all
+# examples of properties, of which `make test` tries a quarter.
 fuzz: $(STAMP)
 	MIRROR_FUZZ=500 $(BIN)/python -m pytest -n 2 -rP tests/fuzz
+	HYPOTHESIS_PROFILE=whole $(BIN)/python -m pytest -n 2 -m hypothesis
 
 # Environments of other toolkits in build/peers; what they read of our files is written to tests/peers.
 peers: $(STAMP)

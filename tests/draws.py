@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "mirror")
-"""``mirror``: a quarter of the examples; ``whole``: all; ``explore``: others, five hundred where no number is stated."""
+"""``mirror``: a quarter of the examples; ``whole``: all; ``explore``: others, 500 where no number is stated."""
 
 
 def draws(count: int) -> int:

@@ -172,6 +172,7 @@ class _Worker:
             "PYTHONPATH": os.pathsep.join(map(str, (tree, tree / "baselines", tree / "leaderboard"))),
             "MIRROR_MUTANTS": str(self.files / "plan.json"),
             "MIRROR_REAL_DATA": str(tree / "real_data"),
+            "HYPOTHESIS_PROFILE": "whole",
             "HYPOTHESIS_STORAGE_DIRECTORY": str(self.files / "hypothesis"),
             "TMPDIR": str(self.files / "tmp"),
         }

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from mirror.dataset.area import covered_area_m2
 from mirror.schema.documents import Roi
+from tests.draws import draws
 
 
 def lens_m2(r: float, s: float, d: float) -> float:
@@ -39,7 +40,7 @@ def test_the_paper_s_ten_scenes() -> None:
     assert 1e3 * area_km2 / 10 == pytest.approx(125.66, abs=0.01)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 @given(st.floats(20, 500), st.floats(20, 500), st.floats(0, 1200))
 def test_two_circles_in_a_plane(r: float, s: float, d: float) -> None:
     expected = math.pi * (r * r + s * s) - lens_m2(r, s, d)

@@ -12,6 +12,7 @@ from mirror.dataset.fitted_map import MARGIN_M, VEHICLE_WIDTH_M, WIDTH_M, fit_ro
 from mirror.errors import UsageError
 from mirror.metrics.safety import drivable_area_compliance, locate_on_lanes
 from mirror.schema.road_map import encode_road_map
+from tests.draws import draws
 from tests.metrics.safety.logs import constant, state_log
 
 
@@ -77,7 +78,7 @@ def test_standstills_and_repeated_points_do_not_matter() -> None:
     np.testing.assert_allclose(one.lanes["driven-0.0"].center_m, other.lanes["driven-0.0"].center_m, atol=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_all_driven_places_are_drivable_and_lanes_are_linked_both_ways(seed: int) -> None:
     rng = np.random.default_rng(seed)

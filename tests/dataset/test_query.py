@@ -32,6 +32,7 @@ from mirror.schema.tables import BOXES
 from mirror.schema.version import DATASET_VERSION
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box
 from tests.builders.index import segment_folder
+from tests.draws import draws
 
 GEOD = pyproj.Geod(ellps="WGS84")
 LIGHT, WEATHER = ("day", "dusk", "night"), ("clear", "rain")
@@ -121,7 +122,7 @@ choices = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=draws(80), deadline=None)
 @given(filters=choices, name=st.sampled_from(["images", "frames", "ego_poses"]))
 def test_filters_agree_with_brute_force(
     dataset: Dataset, tables: dict[str, pd.DataFrame], filters: dict[str, object], name: str
@@ -134,7 +135,7 @@ def test_filters_agree_with_brute_force(
     assert view.count(name) == len(expected)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=draws(300), deadline=None)
 @given(
     lon=st.floats(-180, 180),
     lat=st.floats(-90, 90),

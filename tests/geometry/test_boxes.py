@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull
 from mirror.errors import UsageError
 from mirror.geometry import Camera, Poses, convex_hull, corners, points_in_boxes, project_boxes, rotate
 from mirror.geometry.boxes import CORNER_SIGNS, EDGES, FACES
+from tests.draws import draws
 from tests.geometry.cameras import CAMERAS, each_model
 
 NEAR_M = 0.1
@@ -203,7 +204,7 @@ def test_points_far_from_the_origin_and_on_the_surface() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(-5, 5), st.integers(-5, 5)), max_size=30))
-@settings(max_examples=100)
+@settings(max_examples=draws(100))
 def test_convex_hull_is_convex_and_holds_every_point(points: list[tuple[int, int]]) -> None:
     hull = convex_hull(np.array(points, dtype=np.float64).reshape(-1, 2))
     assert {tuple(corner) for corner in hull.tolist()} <= {(float(x), float(y)) for x, y in points}

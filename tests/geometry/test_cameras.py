@@ -14,6 +14,7 @@ from mirror.errors import UsageError
 from mirror.geometry import Camera, camera_from_row
 from mirror.geometry.cameras import camera_from_attributes
 from mirror.geometry.cameras.perspective import Perspective
+from tests.draws import draws
 from tests.geometry.cameras import CAMERAS, each_model
 
 
@@ -156,7 +157,7 @@ def test_with_tangential_terms_the_map_is_one_to_one_up_to_the_limit() -> None:
     st.tuples(*(st.floats(-2, 2) for _ in range(3))),
     st.booleans(),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=draws(150), deadline=None)
 def test_perspective_round_trip_whatever_the_coefficients(
     brown: tuple[float, ...], rational: tuple[float, ...], is_rational: bool
 ) -> None:
@@ -200,7 +201,7 @@ def test_an_image_of_a_real_lens_needs_no_careful_steps(model: str, monkeypatch:
 
 
 @given(st.tuples(*(st.floats(-0.5, 0.5) for _ in range(4))), st.floats(-0.3, 0.3))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=draws(100), deadline=None)
 def test_fisheye_round_trip_whatever_the_coefficients(coefficients: tuple[float, ...], even: float) -> None:
     kannala = Camera("kannala_brandt", 1000, 800, 400.0, 400.0, 500.0, 400.0, coefficients)
     f_theta = Camera("f_theta", 1000, 800, 1.0, 1.0, 500.0, 400.0, (0.0, 400.0, 400 * even, 400 * coefficients[0]))
@@ -324,7 +325,7 @@ def test_survives_pickling_and_blocks(camera: Camera) -> None:
     st.lists(st.floats(), min_size=8, max_size=8),
     st.floats(),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=draws(300), deadline=None)
 def test_any_numbers_make_a_camera_or_are_refused(model: str, numbers: list[float], focal: float) -> None:
     """A camera that is made has a lens that can be worked out: never a LinAlgError where it is first used."""
     count = {"brown_conrady": 5, "rational": 8, "kannala_brandt": 4, "f_theta": 5}[model]

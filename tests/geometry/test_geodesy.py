@@ -19,6 +19,7 @@ from mirror.geometry.geodesy import (
     utm_convergence_rad,
     utm_to_geodetic,
 )
+from tests.draws import draws
 
 GEOD = pyproj.Geod(ellps="WGS84")
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
@@ -70,7 +71,7 @@ def test_enu_axes_are_orthonormal_and_point_east_north_up() -> None:
         assert np.abs((step * rotation[:, :, axis]).sum(axis=1) - 1.0).max() < 1e-6
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 @given(st.floats(-180, 180), st.floats(-89, 89), st.floats(-100, 5000), st.floats(0, 360), st.floats(0, 20_000))
 def test_tangent_frame_inverts(lon: float, lat: float, height: float, azimuth: float, distance: float) -> None:
     frame = TangentFrame(lon, lat, height)

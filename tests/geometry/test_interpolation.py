@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from mirror.errors import UsageError
 from mirror.geometry import Poses, angle_between_deg, interpolate
+from tests.draws import draws
 from tests.geometry.poses import random_poses
 
 EPOCH_NS = 1_700_000_000_123_456_789
@@ -45,7 +46,7 @@ def test_recorded_stamps_give_the_recorded_poses_bit_for_bit() -> None:
 
 
 @given(st.integers(-(2**60), 2**60), st.integers(1, 10**12), st.floats(0, 1))
-@settings(max_examples=100)
+@settings(max_examples=draws(100))
 def test_the_epoch_costs_no_digits(start: int, span: int, share: float) -> None:
     poses = Poses.exp([[0.0] * 6, [0, 0, 1.0, 0, 0, 0]])
     poses = Poses(poses.rotation, [[0.0, 0, 0], [1.0, 2.0, 3.0]])

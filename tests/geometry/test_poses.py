@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 from mirror.errors import UsageError
 from mirror.geometry import Poses, angle_between_deg, quaternion_exp
+from tests.draws import draws
 from tests.geometry.poses import random_poses
 
 
@@ -75,7 +76,7 @@ def test_exp_beyond_a_half_turn_and_log_at_one() -> None:
 
 
 @given(arrays(np.float64, 6, elements=st.floats(-1.7, 1.7)))
-@settings(max_examples=100)
+@settings(max_examples=draws(100))
 def test_log_inverts_exp(twist: np.ndarray) -> None:
     assert np.abs(Poses.exp(twist).log()[0] - twist).max() < 1e-13
 

@@ -25,6 +25,7 @@ from mirror.geometry import (
     slerp,
 )
 from mirror.geometry.blocks import BLOCK_VALUES
+from tests.draws import draws
 
 EPS = np.finfo(np.float64).eps
 
@@ -90,7 +91,7 @@ def test_tiny_rotation_vectors_keep_their_digits(vector: np.ndarray) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0, 1), st.floats(1e-12, 1e-3))
-@settings(max_examples=50)
+@settings(max_examples=draws(50))
 def test_slerp_is_uniform_and_takes_the_shorter_way(seed: int, share: float, tiny: float) -> None:
     a, b = random_rotations(2, seed)
     way = float(angle_between_deg(a, b))

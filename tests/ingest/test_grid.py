@@ -11,6 +11,7 @@ from mirror.arrays import AnyArray, Bool, Float64, read_only
 from mirror.geometry.geodesy import surface_distance_m
 from mirror.ingest.fix_status import KEPT, RESTART, Fixes
 from mirror.ingest.grid import Circles, build_grid, candidate_stretches
+from tests.draws import draws
 
 DROPPED = RESTART + 1
 FIXES = st.lists(
@@ -41,7 +42,7 @@ def expected(inside: Bool, status: AnyArray) -> list[tuple[int, int, int]]:
     return sorted(found)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=draws(150))
 @given(FIXES, ROIS.filter(bool))
 def test_stretches_in_a_plane(fixes: list[tuple[int, int, int]], rois: list[tuple[int, int, float]]) -> None:
     track, circles = np.array(fixes, np.float64).reshape(-1, 3), np.array(rois, np.float64)

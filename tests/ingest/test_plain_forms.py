@@ -15,6 +15,7 @@ from mirror.ingest import clean, trigger
 from mirror.ingest.clean import clean as clean_track
 from mirror.ingest.trigger import RoiTrigger
 from mirror.schema.documents import CleaningOptions, TriggerOptions
+from tests.draws import draws
 from tests.ingest.cases import Case, cases
 from tests.plain_forms import compare_forms
 
@@ -34,7 +35,7 @@ print(json.dumps(found))
 
 @seed(7)
 @settings(
-    max_examples=60, deadline=None, database=None, phases=[Phase.generate],
+    max_examples=draws(60), deadline=None, database=None, phases=[Phase.generate],
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )  # fmt: skip
 @given(case=cases(["equator", "city", "arctic", "antimeridian", "plane"]))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mirror.ingest.clean import clean
 from mirror.ingest.trigger import Pass, RoiTrigger
 from mirror.schema.documents import CleaningOptions, TriggerOptions
+from tests.draws import draws
 from tests.ingest import reference
 from tests.ingest.cases import Case, cases
 from tests.ingest.drives import PLACES
@@ -71,7 +72,7 @@ def require_equal(case: Case, options: TriggerOptions, *, clip: bool = False) ->
 LENIENT = TriggerOptions(min_duration_s=2.0, min_path_m=5.0)
 SHORT = TriggerOptions(trim_standstill_s=8.0, max_gap_s=5.0, join_gap_s=6.0, min_overlap=0.6)
 LONG_GAP = TriggerOptions(max_gap_s=30.0, trim_standstill_s=None)
-quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+quick = settings(max_examples=draws(60), deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 
 
 @quick
@@ -86,13 +87,13 @@ def test_trigger_in_a_plane(case: Case, options: TriggerOptions) -> None:
     require_equal(case, options)
 
 
-@settings(quick, max_examples=20)
+@settings(quick, max_examples=draws(20))
 @given(case=cases(["city", "plane", "antimeridian"]))
 def test_clips(case: Case) -> None:
     require_equal(case, TriggerOptions(min_overlap=0.5), clip=True)
 
 
-@settings(quick, max_examples=100)
+@settings(quick, max_examples=draws(100))
 @given(case=cases(list(PLACES)))
 def test_fates(case: Case) -> None:
     options = CleaningOptions()

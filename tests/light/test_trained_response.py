@@ -13,6 +13,7 @@ from hybridworldsim.kernels.dispatch import plain_torch
 from hybridworldsim.light.tone_curve import DARKEST, PIVOT, ToneCurve
 from hybridworldsim.light.trained_response import TrainedResponse
 from mirror.errors import UsageError
+from tests.draws import draws
 
 
 def curve(seed: int, count: int = 1) -> ToneCurve:
@@ -22,7 +23,7 @@ def curve(seed: int, count: int = 1) -> ToneCurve:
     return curves
 
 
-@settings(max_examples=20)
+@settings(max_examples=draws(20))
 @given(st.integers(0, 1000))
 def test_every_curve_increases_has_an_inverse_and_keeps_the_pivot(seed: int) -> None:
     curves = curve(seed)

@@ -16,6 +16,7 @@ from scipy import stats
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.metrics.ranks import MIN_CLUSTERS, RankIntervals, rank_intervals
+from tests.draws import draws
 
 FAST = {"resamples": 400}
 
@@ -134,7 +135,7 @@ boards = st.integers(2, 6).flatmap(
 
 
 @given(boards, st.randoms(use_true_random=False))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 def test_the_order_of_methods_shifts_of_clusters_and_the_scale_decide_nothing(scores: Float64, random: object) -> None:
     expected = rank_intervals(scores, **FAST)
     order = list(range(len(scores)))
@@ -147,7 +148,7 @@ def test_the_order_of_methods_shifts_of_clusters_and_the_scale_decide_nothing(sc
 
 
 @given(boards)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 def test_intervals_hold_their_ranks_and_decisions_are_an_order(scores: Float64) -> None:
     found = rank_intervals(scores, **FAST)
     assert np.all((found.low <= found.ranks) & (found.ranks <= found.high))

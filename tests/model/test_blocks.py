@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from hybridworldsim.model.blocks import Block, divide, select_views
 from mirror.errors import UsageError
 from mirror.protocols.views.view import RenderView
+from tests.draws import draws
 from tests.model.streets import view
 
 UTM = np.array([441_000.0, 4_475_000.0, 600.0])
@@ -39,7 +40,7 @@ def test_blocks_where_nobody_drove_are_skipped_and_counted() -> None:
     assert division.skipped == 4
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(st.integers(0, 2**31), st.floats(1.0, 400.0), st.floats(10.0, 150.0))
 def test_blocks_cover_all_driven_places_in_any_order(seed: int, length: float, size: float) -> None:
     rng = np.random.default_rng(seed)
@@ -82,7 +83,7 @@ def turned(yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: f
     st.floats(-180, 180), st.floats(-90, 90), st.sampled_from([0.0, 90.0, -90.0, 180.0]),
     st.floats(-90, 90), st.floats(-90, 90),
 )  # fmt: skip
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=draws(200), deadline=None)
 def test_rotated_cameras_are_selected_if_they_see_the_block(
     yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: float
 ) -> None:

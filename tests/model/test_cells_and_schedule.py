@@ -6,10 +6,11 @@ from hypothesis import strategies as st
 from hybridworldsim.model.densification.cells import best_per_cell, cell_keys, grow_anchors
 from hybridworldsim.model.densification.schedule import due_refinements, target_count
 from hybridworldsim.model.settings import AnchorRefinement
+from tests.draws import draws
 
 
 @given(st.integers(0, 10_000), st.integers(0, 60), st.integers(0, 40), st.integers(0, 50))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 def test_new_anchors_match_exhaustive_search(seed, candidates, standing, room):
     rng = np.random.default_rng(seed)
     points = torch.from_numpy(rng.uniform(-2, 2, (candidates, 3)))

@@ -19,6 +19,7 @@ from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.trainable.viewpoint import to_viewpoint
 from mirror.metrics.images.psnr import psnr
+from tests.draws import draws
 from tests.model.streets import SOURCES, shifted, street, view
 from tests.rasterizer.covers import assert_covers_are
 
@@ -37,7 +38,7 @@ def far_block(one: Block, by: np.ndarray) -> Block:
     return Block(one.index, (x, y, z), one.size_m, one.overlap_m)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 9), st.floats(0.0, 40.0))
 def test_the_partition_sums_to_one_everywhere(seed: int, count: int, ramp: float) -> None:
     rng = torch.Generator().manual_seed(seed)

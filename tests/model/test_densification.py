@@ -23,6 +23,7 @@ from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.settings import AnchorRefinement
 from hybridworldsim.model.splats import DecodedSplats
 from hybridworldsim.trainable.viewpoint import Viewpoint, to_viewpoint
+from tests.draws import draws
 from tests.model.streets import view
 
 K = 2
@@ -129,7 +130,7 @@ def test_cell_size_is_limited_by_the_nearest_distance() -> None:
 
 
 @given(st.integers(0, 2**16), st.integers(1, 30), st.integers(0, 60))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 def test_anchors_stay_within_the_target_count(seed: int, first: int, more: int) -> None:
     rng = np.random.default_rng(seed)
     node = anchors(first, apart_m=0.7)
@@ -195,7 +196,7 @@ def test_transparent_gaussians_go_and_one_render_does_not_split() -> None:
 
 
 @given(st.integers(0, 2**16), st.integers(1, 20), st.integers(0, 40))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 def test_code_gaussians_reach_the_target_count(seed: int, first: int, more: int) -> None:
     rng = np.random.default_rng(seed)
     node = code_gaussians(first)

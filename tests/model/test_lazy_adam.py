@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from torch import nn
 
 from hybridworldsim.model.lazy_adam import BETA1, BETA2, LazyAdam
+from tests.draws import draws
 
 RATES = {"table": 0.03, "numbers": 0.2}
 
@@ -52,7 +53,7 @@ def some(rng, count, share):
 
 
 @given(st.integers(0, 10_000), st.integers(1, 60), st.sampled_from([0.02, 0.3, 1.0]))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 def test_rows_match_adam_with_zero_gradients(seed, steps, share):
     rng = np.random.default_rng(seed)
     one, exact = node_of(30), node_of(30, torch.float64)

@@ -24,10 +24,11 @@ from mirror.privacy.detectors.registry import installed_detectors, parse_choice,
 from mirror.privacy.detectors.sessions import DetectorError
 from mirror.privacy.detectors.yolo import YoloDetector, decode_yolo
 from mirror.weights.errors import WeightsUnavailableError
+from tests.draws import draws
 
 
 @given(width=st.integers(1, 300), height=st.integers(1, 300), tile=st.integers(20, 100), overlap=st.integers(0, 19))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 def test_tiles_cover_the_raster_and_overlap(width: int, height: int, tile: int, overlap: int) -> None:
     count = np.zeros((height, width), int)
     for (left, top, right, bottom), is_needed in tiles(width, height, tile, overlap):

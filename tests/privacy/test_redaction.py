@@ -17,6 +17,7 @@ from mirror.errors import DatasetError, UsageError
 from mirror.privacy.encoding import apply_orientation, redact_encoded, redact_frame, to_stored, turn_upright
 from mirror.privacy.operators import Redaction, redact
 from mirror.privacy.regions import covered_share, grown_box, merged, region_at, region_mask
+from tests.draws import draws
 from tests.privacy.images import jpeg, pixels
 
 boxes = st.lists(st.integers(0, 20), min_size=4, max_size=4).map(
@@ -25,7 +26,7 @@ boxes = st.lists(st.integers(0, 20), min_size=4, max_size=4).map(
 
 
 @given(box=boxes, others=st.lists(boxes, max_size=5))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 def test_coverage_is_that_of_counted_pixels(box: tuple[int, ...], others: list[tuple[int, ...]]) -> None:
     mask = np.zeros((21, 21), bool)
     for left, top, right, bottom in others:

@@ -19,6 +19,7 @@ from mirror.protocols.png import (
     max_png_bytes,
     png_size,
 )
+from tests.draws import draws
 from tests.evaluation.png_chunks import chunk, png
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (9, 16, 3), np.uint8)
@@ -67,7 +68,7 @@ def test_truncated_png_is_refused(length: int) -> None:
 
 
 @given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
-@settings(max_examples=200)
+@settings(max_examples=draws(200))
 def test_changed_byte_is_detected(place: int, change: int) -> None:
     changed = bytearray(WHOLE)
     changed[place] ^= change

@@ -17,6 +17,7 @@ from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
 from hybridworldsim.rasterizer.lenses import LensDistortion
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import project as reference
+from tests.draws import draws
 from tests.rasterizer.projections import Inputs, default_view, distance, gradients, leaves, options, random_gaussians
 
 K = torch.tensor([[700.0, 0.0, 470.0], [0.0, 650.0, 275.0], [0.0, 0.0, 1.0]])
@@ -214,7 +215,7 @@ def test_nothing_is_seen() -> None:
 numbers = st.floats(-(2.0**100), 2.0**100, width=32)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=draws(200), deadline=None)
 @given(st.lists(numbers, min_size=10, max_size=10), st.floats(0.0, 1.0, width=32), st.booleans(), st.booleans())
 def test_anything_finite_gives_numbers(shape: list[float], opacity: float, antialiased: bool, blurred: bool) -> None:
     gaussian = torch.tensor([shape])

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from hybridworldsim.rasterizer import rasterization
 from mirror.errors import UsageError
+from tests.draws import draws
 from tests.rasterizer.scenes import (
     BACKENDS,
     FOCAL,
@@ -339,7 +340,7 @@ def test_the_backends_agree(mode, degree):
     opacity=st.sampled_from([0.0, 1.0 / 255.0, 0.5, 0.999, 1.0]),
     mode=st.sampled_from(["classic", "antialiased"]),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 def test_nothing_finite_makes_nan(seed, scale, distance, opacity, mode):
     random = torch.Generator().manual_seed(seed)
     arguments = gaussians(12, seed)

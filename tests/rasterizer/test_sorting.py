@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
+from tests.draws import draws
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=draws(25))
 @given(arrays(np.float32, st.integers(0, 6000), elements=st.floats(0.0, 2.0**100, width=32), fill=st.just(1.0)))
 def test_any_depths_are_in_order_and_equal_ones_by_index(depths):
     np.testing.assert_array_equal(depth_order(depths), np.argsort(depths, kind="stable"))

@@ -18,6 +18,7 @@ from mirror.schema.scenario import (
     scenario_names,
     write_scenario,
 )
+from tests.draws import draws
 
 BEHAVIOURS = {
     "replay",
@@ -48,7 +49,7 @@ def test_a_written_scenario_reads_back(name: str, tmp_path: Path) -> None:
     assert encode_scenario(scenario) == (tmp_path / "own.toml").read_bytes()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=draws(200), deadline=None)
 @given(st.text(), st.integers(0, 2**63 - 1), st.floats(0.1, 3600), st.lists(st.sampled_from(["left", "right"])))
 def test_any_text_and_number_survive(text: str, seed: int, duration: float, turns: list[str]) -> None:
     scenario = Scenario.model_validate(

@@ -15,6 +15,7 @@ from mirror.dataset.splits.leaks import Tie, find_leaks
 from mirror.dataset.splits.units import connected_components, members_by_component, seeded_rank
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import ByCondition, ByList, ByScene, LightAndWeather, NovelTraversal
+from tests.draws import draws
 
 
 def made(*pairs: tuple[str, str], light: str = "day", weather: str = "clear") -> list[Candidate]:
@@ -115,7 +116,7 @@ def test_impossible_across_scenes_names_two_traversals() -> None:
 drives = st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from("uvwxyz")), min_size=1, max_size=14)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=draws(150), deadline=None)
 @given(drives, st.integers(1, 2), st.integers(1, 2), st.integers(0, 3))
 def test_novel_traversal_against_brute_force(
     pairs: list[tuple[str, str]], train: int, held_out: int, seed: int

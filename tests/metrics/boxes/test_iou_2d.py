@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 from mirror.errors import UsageError
 from mirror.geometry import Camera, Poses, project_boxes
 from mirror.metrics.boxes import HULL_VARIANTS, box_iou_2d, hull_iou, mask_iou, polygon_mask, visible_share
+from tests.draws import draws
 
 SQUARE = np.array([[2.0, 1.0], [8.0, 1.0], [8.0, 6.0], [2.0, 6.0]])
 HEXAGON = np.array([[20.0, 14.0], [34.0, 10.0], [60.0, 12.0], [61.0, 30.0], [48.0, 36.0], [21.0, 33.0]])
@@ -160,7 +161,7 @@ def bounding(pixels: set[tuple[int, int]], counted: set[tuple[int, int]]) -> set
 
 
 @given(hnp.arrays(np.bool_, (10, 12)), hnp.arrays(np.bool_, (10, 12)), hnp.arrays(np.bool_, (10, 12)))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 def test_only_pixels_of_valid_count_in_every_variant(mask: np.ndarray, valid: np.ndarray, outline: np.ndarray) -> None:
     counted, found, hull, ideal = (
         {(int(row), int(column)) for row, column in np.argwhere(region & valid)}
@@ -197,7 +198,7 @@ def test_what_a_hull_cannot_be_asked() -> None:
 
 
 @given(st.floats(-8.0, 8.0), st.floats(-3.0, 25.0), st.floats(-np.pi, np.pi))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 def test_a_cars_hull_is_what_rays_see_even_through_the_near_plane(x: float, z: float, yaw: float) -> None:
     # No ray of a pixel centre runs along a box side.
     camera = Camera("pinhole", 96, 54, 55.113, 55.271, 48.0137, 27.0291)

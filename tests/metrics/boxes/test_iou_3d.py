@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from mirror.errors import UsageError
 from mirror.geometry import Poses, quaternion_multiply
 from mirror.metrics.boxes import box_iou_3d, box_iou_3d_matrix
+from tests.draws import draws
 from tests.metrics.boxes.reference import exact_iou
 
 
@@ -127,7 +128,7 @@ def test_a_cube_on_its_corner() -> None:
 
 
 @given(st.integers(0, 10_000), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from([0.0, 1.0, 1e6, 1e8]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 def test_a_box_has_exactly_one_with_itself(seed: int, scale: float, offset: float) -> None:
     for pose, lwh in (upright(20, seed), tilted(20, seed)):
         moved = Poses(pose.rotation, pose.translation + offset)
@@ -169,7 +170,7 @@ def test_touching_apart_and_without_volume() -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 def test_symmetric_bounded_and_unmoved_by_a_change_of_frame(seed: int) -> None:
     frame, _ = tilted(1, seed + 1)
     for make in (upright, tilted):

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mirror.errors import UsageError
 from mirror.geometry import convex_hull
 from mirror.metrics.boxes import clip_to_image, polygon_area, polygon_mask, visible_share
+from tests.draws import draws
 from tests.metrics.boxes.reference import CAR
 
 BOX = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -39,13 +40,13 @@ corners = st.lists(st.tuples(grid, grid), min_size=3, max_size=7)
 
 @given(corners)
 @example([(0.0, 0.0), (-0.5, -0.5), (12.0, 12.0)])
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 def test_every_pixel_is_what_rational_arithmetic_says(polygon: list[tuple[float, float]]) -> None:
     np.testing.assert_array_equal(polygon_mask(polygon, 11, 9), mask_by_fractions(np.array(polygon), 11, 9))
 
 
 @given(corners, st.integers(0, 6), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 def test_neither_the_first_corner_nor_the_direction_matters(
     polygon: list[tuple[float, float]], turn: int, back: bool
 ) -> None:
@@ -124,7 +125,7 @@ def test_areas_and_what_an_image_holds_of_them() -> None:
 
 
 @given(corners)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 def test_clipping_keeps_what_lies_within(points: list[tuple[float, float]]) -> None:
     hull = convex_hull(points)
     clipped = clip_to_image(hull, 11, 9)

@@ -22,6 +22,7 @@ from mirror.metrics.detection import (
     matching_tables,
     nuscenes_detection,
 )
+from tests.draws import draws
 from tests.metrics.detection.reference import evaluate
 from tests.metrics.detection.scenes import ATTRIBUTES, CLASSES, boxes, random_scene
 
@@ -48,7 +49,7 @@ def test_every_bit_is_that_of_the_loops(samples: int, per_sample: int, predicted
 
 
 @given(st.integers(0, 10_000), st.integers(1, 4), st.integers(1, 6), st.integers(1, 12))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 def test_small_scenes_full_of_ties(seed: int, samples: int, per_sample: int, predicted: int) -> None:
     generator = np.random.default_rng(seed)
     truth, predictions = random_scene(samples, per_sample, predicted, seed, ["car", "barrier"])

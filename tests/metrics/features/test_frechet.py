@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from mirror.errors import UsageError
 from mirror.metrics.features.frechet import frechet_distance
 from mirror.metrics.features.statistics import FeatureAccumulator, FeatureStatistics
+from tests.draws import draws
 
 
 def spectrum(n, d, seed=0, power=0.8):
@@ -120,7 +121,7 @@ def test_identical_sets_are_exactly_zero(n):
     assert 0.0 <= shuffled.value <= shuffled.error
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(n=st.integers(2, 40), m=st.integers(2, 40), d=st.integers(1, 30), seed=st.integers(0, 999))
 def test_symmetric_and_unmoved_by_rotation_and_offset(n, m, d, seed):
     draw = np.random.default_rng(seed)

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.metrics.features.statistics import FeatureAccumulator, FeatureStatistics
+from tests.draws import draws
 
 
 def features(n, d, seed=0, offset=0.0):
@@ -37,7 +38,7 @@ def test_offsets_cost_nothing(offset, bar, n):
     assert np.abs(stream.compute().covariance() - truth).max() < bar
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(sizes=st.lists(st.integers(1, 9), min_size=1, max_size=8), d=st.integers(1, 20), seed=st.integers(0, 99))
 def test_any_batches_give_the_same(sizes, d, seed):
     x = features(sum(sizes), d, seed, offset=3.0)

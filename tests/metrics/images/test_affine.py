@@ -13,6 +13,7 @@ from hypothesis.extra.numpy import arrays
 from mirror.errors import UsageError
 from mirror.metrics.images.affine import psnr_affine
 from mirror.metrics.images.psnr import psnr
+from tests.draws import draws
 from tests.metrics.images.references import affine_by_lstsq, ellipse, street
 
 
@@ -90,7 +91,7 @@ def test_one_pixel_and_one_channel():
     assert psnr_affine(render[..., 0], truth[..., 0]).gains == psnr_affine(render, truth).gains[:1]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 @given(arrays(np.uint8, (2, 5, 7, 3)), arrays(np.bool_, (5, 7)))
 def test_any_levels_agree_with_the_reference(images, mask):
     if mask.any():
@@ -99,7 +100,7 @@ def test_any_levels_agree_with_the_reference(images, mask):
         assert found == pytest.approx(db, abs=1e-7) or (math.isinf(found) and db > 170)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=draws(20), deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.3, 1.0), st.floats(0.0, 0.2))
 def test_score_does_not_depend_on_the_exposure_of_the_render(seed, gain, offset):
     rng = np.random.default_rng(seed)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from mirror.errors import UsageError
 from mirror.metrics.images.colour_correction import correct_colours, psnr_cc
 from mirror.metrics.images.psnr import psnr
+from tests.draws import draws
 from tests.metrics.images.references import corrected_by_lstsq, ellipse, street
 
 
@@ -140,7 +141,7 @@ def test_nothing_to_fit_is_an_error():
         psnr_cc(render, truth, iterations=0)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 12), st.integers(1, 40))
 def test_images_of_few_colours(seed, colours, spread):
     rng = np.random.default_rng(seed)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.metrics.images.invariant import psnr_invariant
+from tests.draws import draws
 from tests.metrics.images.references import ellipse, street
 
 # A value that is rounded to 255 steps is off by up to half a step, all errors equally likely.
@@ -39,7 +40,7 @@ def test_score_follows_its_definition(dtype):
         assert found == pytest.approx(expected, abs=1e-8)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(st.integers(0, 10_000))
 def test_no_invertible_recolouring_and_no_ramp_changes_the_score(seed):
     rng = np.random.default_rng(seed)

@@ -12,6 +12,7 @@ from skimage.metrics import structural_similarity
 from mirror.errors import UsageError
 from mirror.metrics.images.ssim import PRESETS, Ssim, ssim, ssim_map
 from mirror.metrics.images.ssim_map import SsimSettings
+from tests.draws import draws
 from tests.metrics.images.references import ellipse, exact_ssim, street
 
 
@@ -166,7 +167,7 @@ def test_a_mask_of_one_pixel():
         assert found == pytest.approx(luminance.mean(), abs=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=draws(30), deadline=None)
 @given(st.data())
 def test_one_for_equal_images_and_never_more(data):
     dtype = data.draw(st.sampled_from([np.uint8, np.float32, np.float64]))

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mirror.errors import UsageError
 from mirror.metrics.images.matched_structure import matched_structure
 from mirror.metrics.images.structure import NO_STRUCTURE, ms_structure
+from tests.draws import draws
 from tests.metrics.images.references import ellipse, street
 
 WEIGHTS = np.array([0.299, 0.587, 0.114])
@@ -105,7 +106,7 @@ def test_nothing_shown_scores_nothing() -> None:
         assert 0.0 <= matched_structure(nothing, truth) < 0.005
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(st.integers(0, 10_000))
 def test_exposure_and_pixels_outside_the_mask_change_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)

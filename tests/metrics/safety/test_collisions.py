@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.metrics.safety import Collision, CollisionKind, find_collisions
+from tests.draws import draws
 from tests.metrics.safety.logs import Actor, constant, moved, polygons, random_log, resample, state_log
 
 TIMES = 0.1 * np.arange(21)
@@ -21,7 +22,7 @@ def kinds(*actors: Actor, **more) -> list[CollisionKind]:
     return [one.kind for one in find_collisions(state_log(TIMES, *actors), **more)]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_first_contact_is_where_polygons_first_meet(seed: int) -> None:
     log = random_log(np.random.default_rng(seed), agents=2, stamps=8)
@@ -112,7 +113,7 @@ def test_absent_agents_do_not_collide() -> None:
     assert one.stamp_ns == 1_700_000_001_000_000_000
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-5e6, 5e6), st.floats(-5e6, 5e6), st.floats(-np.pi, np.pi))
 def test_frame_and_order_do_not_matter(seed: int, x: float, y: float, turn: float) -> None:
     log = random_log(np.random.default_rng(seed), agents=4)

@@ -19,6 +19,7 @@ from mirror.metrics.safety.driving_score import (
     direction_factor,
     progress_factor,
 )
+from tests.draws import draws
 from tests.metrics.safety.logs import Actor, constant, moved, random_log, state_log
 from tests.metrics.safety.streets import moved_map, two_way_street, with_signal
 
@@ -141,7 +142,7 @@ def test_objects_count_half() -> None:
     assert collision_factor(()) == 1.0
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=draws(100), deadline=None)
 @given(st.lists(st.floats(0.0, 1.0), min_size=8, max_size=8))
 def test_the_scores_are_their_formulas(values: list[float]) -> None:
     nc, dac, ddc, tlc, ep, ttc, lk, c = values
@@ -150,7 +151,7 @@ def test_the_scores_are_their_formulas(values: list[float]) -> None:
     assert score.epdms == pytest.approx(nc * dac * ddc * tlc * (5 * ep + 5 * ttc + 2 * lk + 2 * c) / 14)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=draws(20), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-5e6, 5e6), st.floats(-5e6, 5e6), st.floats(-np.pi, np.pi))
 def test_the_frame_and_the_order_of_agents_do_not_matter(seed: int, x: float, y: float, turn: float) -> None:
     log = with_signal(random_log(np.random.default_rng(seed), agents=4, stamps=20), [0] * 20)

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.metrics.safety import least_time_to_collision, time_to_collision
+from tests.draws import draws
 from tests.metrics.safety.logs import Actor, constant, moved, polygon, polygons, random_log, resample, state_log
 
 TIMES = 0.1 * np.arange(21)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_it_is_the_first_time_at_which_moved_polygons_meet(seed: int) -> None:
     log = random_log(np.random.default_rng(seed), agents=1, stamps=1)
@@ -87,7 +88,7 @@ def test_it_does_not_depend_on_the_rate_of_the_log(begin: float) -> None:
     assert coarse.value_s <= time_to_collision(resample(log, 100)).min() + 1e-6
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_it_is_the_least_of_a_finely_resampled_log(seed: int) -> None:
     log = random_log(np.random.default_rng(seed))
@@ -109,7 +110,7 @@ def test_an_interpolated_log_has_the_same_least_time(seed: int) -> None:
     assert least == pytest.approx(finer, abs=0.005) or (math.isinf(least) and math.isinf(finer))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=draws(30), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-5e6, 5e6), st.floats(-5e6, 5e6), st.floats(-np.pi, np.pi))
 def test_the_frame_does_not_matter(seed: int, x: float, y: float, turn: float) -> None:
     log = random_log(np.random.default_rng(seed))

@@ -19,6 +19,7 @@ from hybridworldsim.mvs.patchmatchnet.stage import (
     draw_first_hypotheses,
     make_local_hypotheses,
 )
+from tests.draws import draws
 from tests.mvs.learned.images import make_wall_image, randomise
 from tests.mvs.learned.loops import stage_by_loops
 
@@ -61,7 +62,7 @@ def test_stage_equals_loops_in_float64(level):
     assert np.ptp(probability, axis=0).max() > 0.02
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(st.floats(0.1, 10.0), st.floats(1.5, 1000.0), st.integers(0, 1000))
 def test_each_part_has_one_first_hypothesis(near, ratio, seed):
     inverse = InverseDepthRange(1.0 / (near * ratio), 1.0 / near)

@@ -8,6 +8,7 @@ from hybridworldsim.mvs.learned.source_features import SourceFeatures
 from hybridworldsim.mvs.learned.warping import compute_motion, project_to_source, sample
 from hybridworldsim.mvs.mvsnet.cost_volume import compute_variance_volume
 from mirror.geometry.poses import Poses
+from tests.draws import draws
 from tests.mvs.learned.images import make_stereo_image, make_wall_image
 
 
@@ -62,7 +63,7 @@ def test_warping_equals_loops(stride, offset):
     np.testing.assert_allclose(result, expected, atol=2e-4)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=draws(20), deadline=None)
 @given(st.floats(-1e7, 1e7), st.floats(-1e7, 1e7), st.integers(0, 100))
 def test_motion_does_not_depend_on_the_origin(east, north, seed):
     rng = np.random.default_rng(seed)

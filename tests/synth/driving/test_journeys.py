@@ -126,7 +126,7 @@ def test_routes_reach_every_branch_of_the_trigger(route) -> None:
 
 
 def test_journeys_repeat_with_the_seed_and_differ_without() -> None:
-    first, again, other = (simulate_journey(SITE, "turn", EGO, seed, fastest_mps=14.0) for seed in (4, 4, 5))
+    first, again, other = journey_of("turn"), journey_of.__wrapped__("turn"), journey_of("turn", 2)
     assert np.array_equal(first.drive.schedule.along_m, again.drive.schedule.along_m)
     assert [user.track_id for user in first.road_users] == [user.track_id for user in again.road_users]
     for a, b in zip(first.road_users, again.road_users):

@@ -1,12 +1,13 @@
 """Tests that each effect can be switched off separately."""
 
 from dataclasses import fields, replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from mirror.synth.light.condition import Condition, Effects
-from mirror.synth.light.lighting import LIGHTING, compute_lighting
+from mirror.synth.light.lighting import LIGHTING, Lighting, compute_lighting
 from mirror.synth.light.sun import instant_of
 
 PLACE = (8.4, 49.0)
@@ -28,6 +29,11 @@ def condition(light: str, weather: str, effects: Effects = ALL) -> Condition:
     return Condition(instant_of("2025-05-10", light, *PLACE), light, weather, 3, effects)
 
 
+@cache
+def lighting_of(light: str, weather: str, effects: Effects = ALL) -> Lighting:
+    return compute_lighting(condition(light, weather, effects), *PLACE)
+
+
 def test_effects_none_disables_all_and_default_enables_all() -> None:
     for effect in fields(Effects):
         assert getattr(Effects(), effect.name) is True
@@ -37,20 +43,19 @@ def test_effects_none_disables_all_and_default_enables_all() -> None:
 @pytest.mark.parametrize("effect", [effect.name for effect in fields(Effects)])
 def test_an_effect_changes_only_its_own_fields(effect: str) -> None:
     for light, weather in (("night", "rain"), ("day", "clear")):
-        whole = compute_lighting(condition(light, weather), *PLACE)
-        without = compute_lighting(condition(light, weather, replace(ALL, **{effect: False})), *PLACE)
+        whole = lighting_of(light, weather)
+        without = lighting_of(light, weather, replace(ALL, **{effect: False}))
         changed = {name for name in LIGHTING.names if not np.array_equal(whole.record[name], without.record[name])}
         assert changed <= OWN.get(effect, set())
         assert np.array_equal(whole.dome, without.dome)
     if effect in OWN and effect not in ("sun_shadows", "season"):
-        night = compute_lighting(condition("night", "rain", replace(ALL, **{effect: False})), *PLACE).record
+        night = lighting_of("night", "rain", replace(ALL, **{effect: False})).record
         assert all(not np.any(night[name]) for name in OWN[effect])
 
 
 def test_lamps_are_lit_in_the_dark_and_shadows_need_the_sun() -> None:
     day, rain, dusk, night = (
-        compute_lighting(condition(*what), *PLACE).record
-        for what in (("day", "clear"), ("day", "rain"), ("dusk", "clear"), ("night", "clear"))
+        lighting_of(*what).record for what in (("day", "clear"), ("day", "rain"), ("dusk", "clear"), ("night", "clear"))
     )
     assert day["sunlight"].min() > 0.5
     assert not any(one["sunlight"].any() for one in (rain, dusk, night))

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from mirror.recordings.light import light_label, solar_elevation_deg
 from mirror.synth.light.sun import air_mass, instant_of, season_of, sun_direction, sunlight
+from tests.draws import draws
 
 
 def ns(iso: str) -> int:
@@ -70,7 +71,7 @@ def test_seasons_of_the_hemispheres_differ_by_half_a_year() -> None:
     assert season_of(ns("2025-07-03T12:00"), -33.0) == pytest.approx(0.0, abs=0.003)
 
 
-@settings(max_examples=50)
+@settings(max_examples=draws(50))
 @given(st.integers(0, 4_000_000_000), st.floats(-90.0, 90.0))
 def test_season_is_a_fraction_of_the_year(seconds: int, latitude: float) -> None:
     assert 0.0 <= season_of(seconds * 1_000_000_000, latitude) < 1.0

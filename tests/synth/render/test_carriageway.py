@@ -20,6 +20,7 @@ from mirror.synth.roads.markings import (
     yield_line,
     zebra_marks,
 )
+from tests.draws import draws
 
 MARKS = {
     "solid": solid_line(0.3, 0.06),
@@ -43,7 +44,7 @@ def sampled(mark, u, v, fu, fv, count=400):
 
 
 @pytest.mark.parametrize("name", MARKS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0), st.floats(0.01, 8.0), st.floats(0.01, 2.0))
 def test_share_of_a_mark_is_exact(name, u, v, fu, fv):
     mark = MARKS[name]
@@ -51,7 +52,7 @@ def test_share_of_a_mark_is_exact(name, u, v, fu, fv):
     assert mark_share(row[0], u, v, fu, fv) == pytest.approx(sampled(mark, u, v, fu, fv), abs=0.006)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(st.floats(-2.0, 2.0), st.floats(-0.8, 0.8), st.floats(0.01, 0.3), st.floats(0.01, 0.3))
 def test_share_of_slanted_stripes(u, v, fu, fv):
     mark = hatched_area((-5.0, 5.0), (-1.0, 1.0), 0.8)

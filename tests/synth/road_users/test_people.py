@@ -13,6 +13,7 @@ from mirror.synth.road_users.people import Pedestrian, build_rider, draw_pedestr
 from mirror.synth.road_users.skeleton import STRIDE, Skeleton, head_half_m, riding_skeleton, walking_skeleton
 from mirror.synth.textures.catalogue import FACES
 from mirror.traffic.placement.motion import Placement
+from tests.draws import draws
 
 _SADDLE = Saddle((-0.20, 0.0, 0.94), (0.42, 0.28, 1.02), (-0.02, 0.12, 0.12), (0.02, -0.12, 0.46))
 _SEEDS = st.integers(0, 2**32 - 1)
@@ -34,7 +35,7 @@ def test_the_same_seed_draws_the_same_person() -> None:
     assert _bytes(one) == _bytes(other)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(_SEEDS, st.floats(0.0, 5.0), st.floats(0.0, 1.0))
 @example(83, 1.125, 1.0).via("a handbag swings furthest between the steps")
 def test_all_poses_are_within_the_box_and_on_the_ground(seed: int, phase: float, pace: float) -> None:
@@ -46,7 +47,7 @@ def test_all_poses_are_within_the_box_and_on_the_ground(seed: int, phase: float,
     assert low[2] < 0.02
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=draws(30), deadline=None)
 @given(_SEEDS)
 def test_box_is_tight_around_the_poses(seed: int) -> None:
     body = _somebody(seed)

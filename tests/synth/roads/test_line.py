@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mirror.synth.roads.line import Bend, build_line
+from tests.draws import draws
 
 BENDS = (Bend(-40.0, 90.0, 0.5), Bend(70.0, 80.0, -0.6))
 LINE = build_line((3.0, -2.0), 0.4, -150.0, 160.0, BENDS)
@@ -44,7 +45,7 @@ def test_positions_match_quadrature():
         assert float(LINE.at(100.0)[axis] - LINE.at(0.0)[axis]) == pytest.approx(total, abs=1e-5)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 @given(st.floats(-148.0, 158.0), st.floats(-25.0, 25.0))
 def test_locate_inverts_at(station, offset):
     found = LINE.locate(LINE.at(np.array([station]), np.array([offset])))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mirror.synth.model import Label, Material, Model
 from mirror.synth.street.houses import HouseStyle, build_far_houses, build_far_woods, build_house
 from mirror.synth.street.houses.windows import PATTERNS, Windows, window_grid
+from tests.draws import draws
 from tests.synth.street.rays import seen_from_behind
 
 STYLES = get_args(HouseStyle)
@@ -24,7 +25,7 @@ def built(style: HouseStyle, seed: int, length: float = 16.0, depth: float = 12.
 
 
 @pytest.mark.parametrize("style", STYLES)
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=draws(8), deadline=None)
 @given(seed=st.integers(0, 10**6), length=st.floats(9.0, 60.0), depth=st.floats(8.0, 34.0))
 def test_houses_stay_within_their_lot(style: HouseStyle, seed: int, length: float, depth: float) -> None:
     low, high = built(style, seed, length, depth).bounds()

@@ -11,6 +11,7 @@ from mirror.errors import UsageError
 from mirror.synth.model import Label, Material, Model
 from mirror.synth.street.foliage import apply_season
 from mirror.synth.street.plants import PASSING_M, TREES, build_bush, build_crops, build_hedge, build_reeds, build_tree
+from tests.draws import draws
 
 _SEEDS = st.integers(0, 2**32 - 1)
 
@@ -57,7 +58,7 @@ def test_crowns_of_street_trees_leave_room_for_pedestrians(kind: str) -> None:
         assert lowest > 1.4
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(_SEEDS, st.sampled_from(TREES), st.floats(0.8, 3.0))
 def test_no_branch_is_low_over_the_carriageway(seed: int, kind: str, road_m: float) -> None:
     model = build_tree(np.random.default_rng(seed), kind, road_m=road_m)  # type: ignore[arg-type]
@@ -71,7 +72,7 @@ def test_no_branch_is_low_over_the_carriageway(seed: int, kind: str, road_m: flo
     assert (rounds["centre"][:, 2] - rounds["half"][:, 2])[over].min(initial=np.inf) >= PASSING_M
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=draws(20), deadline=None)
 @given(_SEEDS)
 def test_every_polygon_is_planar_and_convex(seed: int) -> None:
     for model in _grown(seed):

@@ -9,6 +9,7 @@ from numba import njit
 from mirror.synth.textures.atlas import atlas
 from mirror.synth.textures.catalogue import BILLBOARDS, DIRECTION_SIGNS, PLATES, SHOP_SIGNS, TRAFFIC_SIGNS, Grain
 from mirror.synth.textures.sampling import grain_at, image_at
+from tests.draws import draws
 
 
 def pixels(count: int, ratio: float, texels: tuple[float, float], seed: int) -> np.ndarray:
@@ -126,7 +127,7 @@ def test_huge_pixels_show_the_mean() -> None:
     st.floats(-200, 200), st.floats(-200, 200), st.floats(0, 6.3), st.floats(1e-4, 2), st.floats(1.0, 12.0),
     st.integers(-5, 5), st.integers(-5, 5),
 )  # fmt: skip
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=draws(150), deadline=None)
 def test_grains_tile(
     grain: Grain, u: float, v: float, turn: float, wide: float, ratio: float, right: int, up: int
 ) -> None:
@@ -142,7 +143,7 @@ def test_grains_tile(
     st.sampled_from([SHOP_SIGNS[0], PLATES[1], TRAFFIC_SIGNS[4]]),
     st.floats(-3, 4), st.floats(-3, 4), *[st.floats(-3, 3)] * 4,
 )  # fmt: skip
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=draws(150), deadline=None)
 def test_image_samples_stay_within_the_texels_range(
     number: int, s: float, t: float, s1: float, t1: float, s2: float, t2: float
 ) -> None:

@@ -9,6 +9,7 @@ from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.synth.model import Label, Material, Model, block, ellipsoid, merge_models, polygon
 from mirror.synth.truth.casting import NOTHING, cast_rays, ego_mask
+from tests.draws import draws
 from tests.synth.truth.models import GREY, ball, square
 
 
@@ -75,7 +76,7 @@ def test_empty_models_and_empty_rays_are_accepted() -> None:
     assert cast_rays(square(), np.zeros(3), np.zeros((0, 3)))[1].shape == (0,)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=draws(30), deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.1, 30.0), st.floats(-3.0, 3.0))
 def test_casting_is_invariant_to_rigid_motions(seed: int, shift: float, yaw: float) -> None:
     model = merge_models(

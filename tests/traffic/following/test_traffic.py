@@ -15,6 +15,7 @@ from mirror.traffic.following.zones import find_zones
 from mirror.traffic.lanes.ways import Piece, build_way, follow_lanes
 from mirror.traffic.placement.overlaps import select_non_overlapping
 from mirror.traffic.placement.trace import Aside, Chassis, Schedule
+from tests.draws import draws
 from tests.traffic import street
 
 NETWORK = street.network()
@@ -139,7 +140,7 @@ def test_simulation_is_reproducible() -> None:
             assert np.array_equal(a.along_m, b.along_m) and np.array_equal(a.speed_mps, b.speed_mps)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=draws(60))
 @given(
     st.lists(
         st.tuples(*[st.floats(-6, 6)] * 2, st.floats(-4, 4), st.floats(0.3, 4), st.floats(0.3, 4)),

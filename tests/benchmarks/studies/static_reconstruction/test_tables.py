@@ -23,11 +23,12 @@ from benchmarks.studies.static_reconstruction.tables import (
     mean_tables,
 )
 from benchmarks.studies.static_reconstruction.truth.tables import all_tables, exact_street_table
+from tests.draws import draws
 
 figures = st.floats(-60.0, 60.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(st.lists(st.tuples(figures, figures), min_size=2, max_size=12), st.sampled_from((0.9, 0.95, 0.99)))
 def test_interval_matches_the_paired_t_test(pairs: list[tuple[float, float]], level: float) -> None:
     ours, theirs = np.array(pairs).T

@@ -20,6 +20,7 @@ from benchmarks.studies.static_reconstruction.truth.trained import evenly_chosen
 from mirror.errors import UsageError
 from mirror.protocols.views.view import RenderView
 from mirror.synth.model import Label
+from tests.draws import draws
 
 angles = st.floats(-0.4, 0.4)
 
@@ -46,7 +47,7 @@ def plane(view: RenderView) -> tuple[np.ndarray, np.ndarray]:
     return depth * np.linalg.norm(slopes, axis=-1), depth
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(angles, angles, angles, st.floats(0.5, 3.0), st.sampled_from((0.0, 1e5)))
 def test_depth_of_a_plane(roll: float, pitch: float, yaw: float, height_m: float, origin_m: float) -> None:
     view = view_at(roll, pitch, yaw, height_m, origin_m)
@@ -62,7 +63,7 @@ def test_depth_of_a_plane(roll: float, pitch: float, yaw: float, height_m: float
     )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(st.floats(0.2, 5.0))
 def test_heights_of_a_plane_whose_depth_is_scaled(factor: float) -> None:
     view = view_at(0.0, 0.0, 0.0, 1.5)
@@ -123,7 +124,7 @@ def test_other_folders_are_not_runs() -> None:
         parse_job("ours.guangzhou-urban")
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 @given(st.lists(st.integers(), unique=True, max_size=40), st.integers(2, 9))
 def test_items_are_evenly_chosen(things: list[int], most: int) -> None:
     found = evenly_chosen(things, most)

@@ -13,6 +13,7 @@ from mirror.cli.main import main
 from mirror.errors import MirrorError, RecordingError
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.readers.message_logs.mcap_file import McapFile
+from tests.draws import draws
 from tests.recordings.readers.message_logs.drives import ONE, opened
 from tests.recordings.readers.message_logs.writer import TOPICS, messages, write_mcap, write_rosbag2
 
@@ -111,7 +112,7 @@ def test_damaged_databases_are_refused_by_name(tmp_path: Path) -> None:
         assert caught.value.file == str(file)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), flips=st.integers(1, 8), chunked=st.booleans())
 def test_any_damage_ends_in_a_named_error_or_in_values(
     tmp_path_factory: pytest.TempPathFactory, seed: int, flips: int, chunked: bool

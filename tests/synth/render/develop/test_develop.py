@@ -16,6 +16,7 @@ from mirror.synth.render.develop import CameraResponse, compute_exposure, develo
 from mirror.synth.render.develop.curve import film, film_table, gaussian_table
 from mirror.synth.render.develop.drops import DROP, refract_drops
 from mirror.synth.render.develop.glare import glare
+from tests.draws import draws
 
 PLAIN = CameraResponse()
 NONE = Effects.none()
@@ -253,7 +254,7 @@ def test_arrays_of_wrong_shape_or_type_are_refused(radiance: np.ndarray) -> None
         develop(street(), fixed(1.0), PLAIN, NONE, 0, motion=np.zeros((4, 4, 2), np.float32))
 
 
-@settings(max_examples=30)
+@settings(max_examples=draws(30))
 @given(st.integers(0, 2**63 - 1))
 def test_trained_responses_differ_within_small_limits(seed: int) -> None:
     response = draw_camera_response(seed)

@@ -125,6 +125,7 @@ def _dataset_lines(summary: DatasetSummary) -> list[tuple[str, str]]:
         ("images", f"{summary.images:,} ({summary.image_bytes / 1e6:,.1f} MB)"),
         ("time", _dates(summary.first_ns, summary.last_ns, summary.hours)),
         ("layers (traversals)", _numbered(summary.layers)),
+        *([("lidar sweeps", f"{summary.sweeps:,}")] if summary.sweeps else []),
         ("road maps (lanes)", _numbered(summary.road_maps)),
         *((f"split {name}", _counts(roles)) for name, roles in summary.splits.items()),
         ("index", summary.index if summary.index == "current" else f"{summary.index}: run `mirror index`"),
@@ -168,6 +169,8 @@ def _recording_lines(summary: RecordingSummary) -> list[tuple[str, str]]:
         counts = f"{camera.images:,} {camera.codec}{rate}{missing}{repeated}"
         lines.append((f"camera {name}", f"{counts}; calibrations: {stages}"))
     lines.append(("boxes", f"{summary.boxes:,}" if summary.boxes else "none"))
+    if summary.sweeps:
+        lines.append(("lidar sweeps", f"{summary.sweeps:,}"))
     return lines
 
 

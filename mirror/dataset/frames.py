@@ -12,6 +12,7 @@ import numpy as np
 from mirror.arrays import Int64, UInt8
 from mirror.dataset.image import Image
 from mirror.dataset.layers import LayerChoice
+from mirror.dataset.lidars import LidarFiles
 from mirror.dataset.loader import Loader
 from mirror.dataset.query.arrow import to_numpy
 from mirror.dataset.query.catalog import Catalog
@@ -68,6 +69,15 @@ class Frame:
     def calibrations(self) -> Sequence[CameraCalibration]:
         """All calibrations of the whole traversal, of the chosen layer: of every camera, stage and interval."""
         return self._traversal.calibrations
+
+    @property
+    def lidars(self) -> tuple[LidarFiles, ...]:
+        """All lidar sweeps of the whole traversal, by sensor and format: files of the source, which were never opened.
+
+        Raises:
+            DatasetError: their table is missing.
+        """
+        return self._traversal.lidars
 
     @property
     def track_ids(self) -> tuple[str, ...]:

@@ -69,7 +69,14 @@ class Layout:
         return self.traversal(traversal_id) / "recorded"
 
     def layer(self, traversal_id: str, kind: str, source: str, version: str) -> Path:
-        """Return the folder of one layer; ``kind`` is poses, calibrations, boxes, masks, redaction, depth or points."""
+        """Return the folder of one layer.
+
+        Args:
+            traversal_id: the traversal.
+            kind: poses, calibrations, boxes, masks, redaction, depth, points or lidars.
+            source: who made it.
+            version: version of the source.
+        """
         return self.traversal(traversal_id) / "layers" / kind / f"{source}@{version}"
 
     def split(self, name: str) -> Path:

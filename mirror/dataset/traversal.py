@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.dataset.layers import LayerChoice
+from mirror.dataset.lidars import LIDAR_LAYER, LidarFiles, read_lidar_files
 from mirror.dataset.query.arrow import floats_or_nan, is_member, is_valid, to_arrow_mask, to_arrow_rows, to_numpy
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.row_index import RowIndex
@@ -296,6 +297,12 @@ class Traversal:
         in_layer = self._of_layer("boxes", arrays, self._layers.boxes)
         table = {name: array.filter(to_arrow_mask(in_layer)) for name, array in arrays.items()}
         return RowIndex(to_numpy(table["timestamp_ns"])), table
+
+    @cached_property
+    def lidars(self) -> tuple[LidarFiles, ...]:
+        """The lidar sweeps by sensor and format; empty where the source has none."""
+        layers = self._catalog.read_global("traversals", ["layers"]).column(0)[self.row].as_py()
+        return read_lidar_files(self._catalog.store, self.traversal_id) if LIDAR_LAYER in layers else ()
 
     def _group(self, name: str) -> tuple[str, int] | None:
         """File and position of this traversal's row group in an index table; None: it has no rows."""

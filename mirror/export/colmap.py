@@ -225,7 +225,7 @@ KEPT: Final = (
 )
 LOST: Final = (
     "boxes and their tracks",
-    "depth maps",
+    "depth maps, lidar sweeps",
     "exposure, rolling shutter and time offsets",
     "the geodetic reference of the world frame",
     "kind and standard deviation of points, and which traversal observed them",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mirror.export.lenses import LensMap
+from mirror.export.lidars import SweepFiles
 from mirror.export.scene import ExportImage, ExportScene
 from mirror.progress import ProgressReporter
 
@@ -60,6 +61,7 @@ class ExportLayout:
         require: refuses scenes that the format cannot hold, before anything is written; None: it holds every scene.
         holds_points: whether the format has points, from which trainers start.
         holds_images: whether `write` puts the images into files of its own; `image_path` then names them there.
+        sweeps: the places of lidar sweeps; None: the format has none.
         kept: fields that it keeps.
         lost: fields that it cannot hold.
     """
@@ -76,3 +78,4 @@ class ExportLayout:
     require: Callable[[ExportScene], None] | None = None
     holds_points: bool = False
     holds_images: bool = False
+    sweeps: Callable[[ExportScene], SweepFiles] | None = None

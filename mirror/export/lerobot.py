@@ -387,6 +387,7 @@ LAYOUT: Final = ExportLayout(
     lost=(
         "frames without an image of some camera",
         "boxes, masks, depth maps, points",
+        "lidar sweeps",
         "lengths of exposures",
         "the geodetic reference of the world frame",
         "calibrations that change within a traversal, their stages and covariance",

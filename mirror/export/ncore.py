@@ -250,6 +250,7 @@ LAYOUT: Final = ExportLayout(
     lost=(
         "scores and velocities of boxes",
         "depth maps, points",
+        "lidar sweeps",
         "calibrations that change within a traversal",
         "time offsets of the cameras",
         "light and weather",

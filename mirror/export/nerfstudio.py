@@ -138,6 +138,7 @@ LAYOUT: Final = ExportLayout(
     lost=(
         "boxes and their tracks",
         "depth maps",
+        "lidar sweeps",
         "exposure, rolling shutter and time offsets",
         "the geodetic reference of the world frame",
         "kind and standard deviation of points, and which traversal observed them",

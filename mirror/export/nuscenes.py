@@ -24,6 +24,8 @@ from mirror.dataset.traversal import FrameBoxes
 from mirror.export.files import encode_image
 from mirror.export.layout import ExportLayout, Kept, Written
 from mirror.export.lenses import pinhole_lens
+from mirror.export.lidars import Sweep, list_sweeps, present_sweeps
+from mirror.export.nuscenes_lidars import add_sweeps, sweep_files, to_us
 from mirror.export.scene import ExportImage, ExportScene
 from mirror.progress import ProgressReporter
 from mirror.schema.files import write_bytes
@@ -117,8 +119,9 @@ def _write(scene: ExportScene, out: Path, _: ProgressReporter) -> Written:
     for number, level in enumerate(_VISIBILITY, 1):
         tables.add_named("visibility", str(number), level=f"v{level}", description=f"visible: {level} %")
     logs = []
+    sweeps = present_sweeps(list_sweeps(scene))[0]
     for traversal_id, frames in scene.by_traversal():
-        logs.append(_add_traversal(tables, scene, traversal_id, frames))
+        logs.append(_add_traversal(tables, scene, traversal_id, frames, sweeps.get(traversal_id, ())))
     blank = f"maps/{scene.scene['scene_id']}.png"
     write_bytes(out / blank, encode_image(np.zeros((10, 10), np.uint8), ".png"))
     tables.add("map", blank, log_tokens=sorted(set(logs)), category="semantic_prior", filename=blank)
@@ -126,7 +129,11 @@ def _write(scene: ExportScene, out: Path, _: ProgressReporter) -> Written:
 
 
 def _add_traversal(
-    tables: _Tables, scene: ExportScene, traversal_id: str, frames: Sequence[tuple[Frame, list[ExportImage]]]
+    tables: _Tables,
+    scene: ExportScene,
+    traversal_id: str,
+    frames: Sequence[tuple[Frame, list[ExportImage]]],
+    sweeps: Sequence[Sweep],
 ) -> str:
     traversal = scene.traversals[traversal_id]
     log = tables.add(
@@ -141,7 +148,7 @@ def _add_traversal(
     )  # fmt: skip
     annotated = _boxes_of_samples([frame for frame, _ in frames])
     samples = [
-        tables.add("sample", traversal_id, frame.frame_index, timestamp=_us(frame.timestamp_ns), scene_token=token)
+        tables.add("sample", traversal_id, frame.frame_index, timestamp=to_us(frame.timestamp_ns), scene_token=token)
         for frame, _ in frames
         if frame.frame_index in annotated
     ]
@@ -154,9 +161,11 @@ def _add_traversal(
     key_frames = iter(samples)
     for frame, images in frames:
         is_key = frame.frame_index in annotated
-        sample = next(key_frames) if is_key else samples[int(np.argmin(np.abs(times - _us(frame.timestamp_ns))))]
+        sample = next(key_frames) if is_key else samples[int(np.argmin(np.abs(times - to_us(frame.timestamp_ns))))]
         for item in images:
             data[item.image.camera].append(_add_image(tables, item, sample, is_key=is_key))
+    stamps = dict(zip(samples, times.tolist()))
+    data |= add_sweeps(tables.add, traversal_id, traversal["drive_id"], frames[0][0], sweeps, stamps)
     for tokens in data.values():
         tables.link("sample_data", tokens)
     _add_boxes(tables, traversal_id, samples, [annotated[key] for key in sorted(annotated)])
@@ -200,7 +209,7 @@ def _add_image(tables: _Tables, item: ExportImage, sample: str, *, is_key: bool)
         sensor_token=sensor, translation=translation, rotation=rotation, camera_intrinsic=matrix, **columns,
     )  # fmt: skip
     key = (item.frame.traversal_id, image.camera, image.timestamp_ns)
-    time = _us(image.timestamp_ns)
+    time = to_us(image.timestamp_ns)
     pose = tables.add(
         "ego_pose", *key, timestamp=time, rotation=ego.rotation[0].tolist(), translation=ego.translation[0].tolist()
     )
@@ -242,13 +251,9 @@ def _add_boxes(tables: _Tables, traversal_id: str, samples: Sequence[str], boxes
 
 def _image_path(item: ExportImage) -> str:
     """Every image lies in ``samples``: whether it is of a keyframe stands in the table."""
-    drive, stamp = item.frame.traversal_id, _us(item.image.timestamp_ns)
+    drive, stamp = item.frame.traversal_id, to_us(item.image.timestamp_ns)
     channel = channel_name(item.image.camera)
     return f"samples/{channel}/{drive}__{channel}__{stamp}{item.suffix}"
-
-
-def _us(timestamp_ns: int) -> int:
-    return (timestamp_ns + 500) // 1000
 
 
 LAYOUT: Final = ExportLayout(
@@ -259,12 +264,15 @@ LAYOUT: Final = ExportLayout(
     mask_path=None,
     needs_all_masks=False,
     write=_write,
+    sweeps=sweep_files,
     kept=(
         Kept("pose of the vehicle at each image", "ego_pose", "1e-9 m, 1e-12 rad"),
         Kept("mounting of the cameras", "calibrated_sensor", "exact"),
         Kept("focal lengths, principal point", "camera_intrinsic", "1e-12 px"),
         Kept("rolling shutter", "calibrated_sensor: shutter_direction, readout_ns", "exact, of the recorded rows"),
-        Kept("time of images and frames", "sample, sample_data", "0.5 us"),
+        Kept("time of images, frames and lidar sweeps", "sample, sample_data", "0.5 us"),
+        Kept("files of lidar sweeps", "sample_data; the name ends in the format", "exact"),
+        Kept("mounting of the lidars", "calibrated_sensor", "exact"),
         Kept("pose of boxes", "sample_annotation", "1e-9 m, 1e-12 rad"),
         Kept("size of boxes", "sample_annotation", "exact"),
         Kept("tracks", "instance", "exact up to names"),

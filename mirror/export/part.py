@@ -152,7 +152,8 @@ class _Part:
             kind, _, rest = name.partition("/")
             source, _, version = rest.partition("@")
             there = complete_manifest(self._layout.layer(traversal_id, kind, source, version))
-            if kind != REDACTION and there is None:
+            # Files of the source, such as sweeps of lidars, lie elsewhere: their references stay behind.
+            if kind != REDACTION and kind in LAYER_TABLES and there is None:
                 self._fetch_layer(traversal_id, kind, source, version)
 
     def fetch_drive(self, drive_id: str, traversals: frozenset[str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Final
@@ -18,6 +18,7 @@ from mirror.export.files import encode_image, place_image
 from mirror.export.layout import ExportLayout, Written
 from mirror.export.leaving import ExportDoor
 from mirror.export.lenses import require_lenses
+from mirror.export.lidars import place_sweep
 from mirror.export.scene import ExportImage, ExportScene, select_scene
 from mirror.pools import thread_pool, usable_cores
 from mirror.progress import NullProgress, ProgressReporter
@@ -115,8 +116,12 @@ def export(
     sources = _hash_sources(scene, reporter)
     if not form.holds_images:
         _place_images(scene, form, out, copy=chosen.copies, progress=reporter)
+    sweeps = None if form.sweeps is None else form.sweeps(scene)
+    for place, sweep in ({} if sweeps is None else sweeps.places).items():
+        place_sweep(sweep, require_inside(out, place), copy=chosen.copies)
     masks = _write_masks(scene, form, out, reporter)
     written = form.write(scene, out, reporter)
+    written = replace(written, notes=(*written.notes, *(() if sweeps is None else sweeps.notes)))
     reporter.start("tables", 1)
     files = [*written.files, *_write_lists(scene, form, out)]
     document = _document(scene, form, request, written, masks, files, out, sources)

@@ -131,6 +131,7 @@ LAYOUT: Final = ExportLayout(
     ),
     lost=(
         "depth maps and points",
+        "lidar sweeps",
         "the geodetic reference of the world frame",
         "calibration stages, validity and covariance",
         "poses between images",

@@ -22,6 +22,7 @@ from mirror.ingest.rois import refuse_swapped_coordinates
 from mirror.ingest.trigger import Pass, RoiTrigger
 from mirror.ingest.usable import clean_usable
 from mirror.recordings.boundary import reader_errors
+from mirror.recordings.lidars import LidarSweeps, read_lidars
 from mirror.recordings.protocol import DriveInfo, ImageStream, Recording, Track
 from mirror.schema.documents import CleaningOptions, CleaningReport, RecordingSource, Roi
 
@@ -59,7 +60,7 @@ class PoseSlice:
 
 
 class DriveContent:
-    """Images, calibrations and boxes of a drive, read once, when the first traversal asks for them."""
+    """Images, calibrations, boxes and sweeps of a drive, read once, when the first traversal asks for them."""
 
     def __init__(self, recording: Recording, path: Path) -> None:
         self._recording = recording
@@ -79,6 +80,11 @@ class DriveContent:
     def boxes(self) -> pa.Table | None:
         """Return the box rows, or None."""
         return self._once("boxes", self._recording.boxes)
+
+    def lidars(self) -> Sequence[LidarSweeps]:
+        """Return the lidar sweeps by sensor; empty where the source has none."""
+        sweeps: Sequence[LidarSweeps] = self._once("lidars", lambda: read_lidars(self._recording))
+        return sweeps
 
     def _once(self, name: str, read: Any) -> Any:
         with self._lock:

@@ -19,6 +19,7 @@ from mirror.dataset.images.shards import pack_images
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
 from mirror.errors import RecordingError, SchemaError
 from mirror.ingest.images import PlacedImages, Transfer, place_images, refer_to_images
+from mirror.ingest.lidars import write_lidars
 from mirror.ingest.passes import DrivePasses
 from mirror.ingest.refusals import refuse_invalid_boxes, refuse_other_image_sizes, refuse_other_mask_size
 from mirror.ingest.staging import Staging
@@ -175,6 +176,7 @@ def _write(
     one, folder = drive.passes[number], layout.recorded(name)
     streams = select_images(drive, number)
     _write_boxes(layout, name, drive, one, derived_from)
+    write_lidars(layout, name, drive, one, derived_from)
 
     def place(stream: ImageStream, indices: Int64, stamps: Int64, folder: Path) -> PlacedImages:
         if isinstance(stream, ReferencedStream):

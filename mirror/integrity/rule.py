@@ -23,6 +23,7 @@ GROUPS: Final = {
     "IDX": "the index, which is derived from all other files",
     "IMG": "images, their rows, files and pixels",
     "LED": "the ledgers of passes, accepted and refused",
+    "LID": "references to lidar sweeps, whose files lie outside of the dataset",
     "MAP": "recorded road maps",
     "MSK": "masks",
     "POS": "the ego poses of a traversal, recorded and in layers",

@@ -17,7 +17,18 @@ from mirror.integrity.motion import MotionColumns
 from mirror.integrity.rows import TablePart, TableRows
 from mirror.schema.documents import Roi
 from mirror.schema.road_map import RoadMap
-from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, LAYER_TABLES, MASKS, POINTS, Table
+from mirror.schema.tables import (
+    BOXES,
+    CALIBRATIONS,
+    DEPTH,
+    EGO_POSES,
+    IMAGES,
+    LAYER_TABLES,
+    LIDARS,
+    MASKS,
+    POINTS,
+    Table,
+)
 
 
 class SceneView:
@@ -92,6 +103,11 @@ class SceneView:
     def points(self) -> TableRows:
         """Points of all layers."""
         return TableRows(POINTS, self._layers("points"))
+
+    @cached_property
+    def lidars(self) -> TableRows:
+        """Lidar sweeps, whose files lie outside of the dataset."""
+        return TableRows(LIDARS, self._layers("lidars"))
 
     @cached_property
     def motion(self) -> MotionColumns:
@@ -178,7 +194,7 @@ class SceneView:
     def tables(self) -> Sequence[TableRows]:
         """Return every table, layers included."""
         recorded = (self.all_poses, self.all_images, self.all_calibrations)
-        return (*recorded, self.boxes, self.masks, self.depth, self.points)
+        return (*recorded, self.boxes, self.masks, self.depth, self.points, self.lidars)
 
     @cached_property
     def entry_ns(self) -> Int64:
@@ -205,7 +221,7 @@ class SceneView:
             for layer_kind, source, version in item.layers
             if layer_kind == kind
         ]
-        return self.dataset.parts(LAYER_TABLES[kind], folders)
+        return self.dataset.parts(LIDARS if kind == LIDARS.name else LAYER_TABLES[kind], folders)
 
     def _with_layers(self, recorded: TableRows, kind: str) -> TableRows:
         layers = self._layers(kind)

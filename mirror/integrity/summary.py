@@ -13,6 +13,7 @@ from mirror.dataset.layout import Layout, require_dataset
 from mirror.errors import MirrorError
 from mirror.integrity.dataset_view import DatasetView
 from mirror.schema.documents import DatasetDocument
+from mirror.schema.tables import LIDARS
 
 _JSON_KEYS: Final = {"images": "pictures", "image_bytes": "picture_bytes"}
 """Keys of ``mirror info --json`` that differ from the field; they stay for those who read them."""
@@ -37,6 +38,7 @@ class DatasetSummary:
         hours: sum of the traversals' durations.
         passes: passes by decision: ``accepted``, or the rule that refused them.
         layers: traversals by layer, ``kind/source@version``.
+        sweeps: number of lidar sweeps that are referred to.
         road_maps: number of lanes of the recorded road maps, by scene.
         splits: traversals by role, by split.
         index: ``current``, ``stale`` or ``missing``.
@@ -57,6 +59,7 @@ class DatasetSummary:
     hours: float
     passes: Mapping[str, int]
     layers: Mapping[str, int]
+    sweeps: int
     road_maps: Mapping[str, int]
     splits: Mapping[str, Mapping[str, int]]
     index: str
@@ -104,11 +107,22 @@ def summarise(root: str | Path) -> DatasetSummary:
         hours=sum(int(str(row["exit_ns"])) - int(str(row["entry_ns"])) for row in passed) / 3.6e12,
         passes=dict(Counter(rules)),
         layers=dict(sorted(Counter(f"{k}/{s}@{v}" for item in traversals for k, s, v in item.layers).items())),
+        sweeps=_count_sweeps(view),
         road_maps={name: len(road_map.lanes) for name, road_map in view.road_maps.items()},
         splits={name: dict(Counter(split.assignments.values())) for name, split in view.splits.items()},
         index=_index_state(view),
         problems=tuple(view.problems.values()),
     )
+
+
+def _count_sweeps(view: DatasetView) -> int:
+    folders = [
+        (number, view.layout.layer(item.traversal_id, *layer))
+        for number, item in enumerate(view.traversals.values())
+        for layer in item.layers
+        if layer[0] == LIDARS.name
+    ]
+    return sum(rows.num_rows for _, _, rows in view.parts(LIDARS, folders))
 
 
 def _index_state(view: DatasetView) -> str:

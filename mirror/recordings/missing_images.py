@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from mirror.arrays import Bool
 from mirror.errors import MirrorError, RecordingError
+from mirror.recordings.lidars import LidarSweeps, read_lidars
 from mirror.recordings.protocol import DriveInfo, FileStream, ImageStream, Recording, RigInfo, Track
 
 
@@ -119,6 +120,9 @@ class _Available:
 
     def boxes(self) -> pa.Table | None:
         return self.recording.boxes()
+
+    def lidars(self) -> Sequence[LidarSweeps]:
+        return read_lidars(self.recording)
 
 
 def _named_images(recording: Recording) -> Mapping[str, ImageStream]:

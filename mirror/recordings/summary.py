@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Float64
+from mirror.recordings.lidars import read_lidars
 from mirror.recordings.opening import unreadable_error
 from mirror.recordings.pauses import count_missing_images
 from mirror.recordings.protocol import DriveInfo, ImageStream, Recording, repeated_stamps
@@ -64,6 +65,7 @@ class RecordingSummary:
         reference_camera: the camera that defines the frames.
         cameras: summaries by camera name.
         boxes: number of 3D boxes.
+        sweeps: number of lidar sweeps.
         bad_rows: number of rows that make no pose, by reason.
         first_bad_row: the error of the first of them; None: there is none.
     """
@@ -81,6 +83,7 @@ class RecordingSummary:
     reference_camera: str | None
     cameras: Mapping[str, CameraSummary]
     boxes: int
+    sweeps: int = 0
     bad_rows: Mapping[str, int] = field(default_factory=dict)
     first_bad_row: str | None = None
 
@@ -133,6 +136,7 @@ def summarise(recording: Recording) -> RecordingSummary:
             for name in names
         },
         boxes=0 if boxes is None else boxes.num_rows,
+        sweeps=sum(len(one) for one in read_lidars(recording)),
         bad_rows=track.bad.counts() if track.bad else {},
         first_bad_row=str(track.bad.first) if track.bad else None,
     )

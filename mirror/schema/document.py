@@ -12,7 +12,7 @@ from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.page_file import write_page
 from mirror.schema.road_map import RoadMapHeader
 from mirror.schema.rollout_tables import ROLLOUT
-from mirror.schema.tables import LAYERS, PASSES, RECORDED, Table
+from mirror.schema.tables import LAYERS, PASSES, RECORDED, REFERENCES, Table
 from mirror.schema.version import SCHEMA_VERSION
 
 _DOCUMENTS: Sequence[type[BaseModel]] = (
@@ -76,7 +76,7 @@ def schema_page() -> str:
         "## Tables of a drive and a traversal",
         "",
     ]
-    for table in (PASSES, *RECORDED, *LAYERS):
+    for table in (PASSES, *RECORDED, *LAYERS, *REFERENCES):
         lines += _table_lines(table)
     lines += [
         "## Tables of the index",

@@ -324,8 +324,32 @@ PASSES: Final = Table(
     sorted_by=("scene_id", "drive_id", "entry_ns"),
 )
 
+LIDARS: Final = Table(
+    name="lidars",
+    row="one sweep of a lidar, whose file stays where it was recorded",
+    place="traversals/<traversal_id>/layers/lidars/recorded@1/lidars.parquet",
+    schema=pa.schema(
+        [
+            column("sensor", KEY, "The source's name of the lidar."),
+            column("timestamp_ns", pa.int64(), "Unix time, UTC, of the sweep, as its source defines it."),
+            column(
+                "format",
+                KEY,
+                "Format of the file: `kitti_velodyne_bin`, `nuscenes_pcd_bin`, `dgp_npz`, `av2_feather`, or another one.",
+            ),
+            column("uri", pa.string(), "Absolute path or URL of the file, which is no part of the dataset."),
+            column("byte_length", pa.int64(), "Its size; null: the file was not opened.", null=True),
+            column("sha256", SHA256, "SHA-256 of its bytes; null: the file was not read.", null=True),
+            *_pose("sensor", "ego"),
+        ]
+    ),
+    sorted_by=("sensor", "timestamp_ns", "uri"),
+)
+
 RECORDED: Final[Sequence[Table]] = (EGO_POSES, IMAGES, CALIBRATIONS)
 LAYERS: Final[Sequence[Table]] = (BOXES, MASKS, DEPTH, POINTS)
+REFERENCES: Final[Sequence[Table]] = (LIDARS,)
+"""Tables of layers that name files outside of the dataset. They never leave it: no list of what leaves has them."""
 LAYER_TABLES: Final[Mapping[str, Table]] = {
     "poses": EGO_POSES,
     "calibrations": CALIBRATIONS,
@@ -335,4 +359,4 @@ LAYER_TABLES: Final[Mapping[str, Table]] = {
     "depth": DEPTH,
     "points": POINTS,
 }
-"""The table of each kind of layer."""
+"""The table of each kind of layer that may leave, or whose contents are derived from what may."""

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import io
 import json
+import shutil
 import tarfile
 import zipfile
 from pathlib import Path
@@ -19,6 +20,7 @@ import pytest
 import mirror
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.door.files import list_dataset_files
 from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, seal
@@ -26,12 +28,13 @@ from mirror.errors import DatasetError
 from mirror.export.audit import audit
 from mirror.export.document import MANIFEST, UNFINISHED
 from mirror.export.run import ExportOptions, export
+from mirror.geometry.poses import COLUMNS
 from mirror.progress import NullProgress
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import BUNDLE
 from mirror.schema.documents import FileEntry, Manifest
-from mirror.schema.files import encode_table, read_json, read_table, sha256_bytes, write_json
-from mirror.schema.tables import IMAGES, MASKS
+from mirror.schema.files import encode_table, read_json, read_table, sha256_bytes, write_bytes, write_json
+from mirror.schema.tables import IMAGES, LIDARS, MASKS
 from mirror.synth import SynthReport
 from tests.evaluation.submissions import SPLIT, small
 from tests.export.leaving import copied, publish_to, recorded_images, redact, sealed, write_three_cameras
@@ -137,6 +140,30 @@ def test_what_a_redaction_left_out_and_older_redactions_stay(redacted: Path, tmp
     assert all("/redaction/corner@2/" in name for name in images)
     assert not [name for name in images if str(lost) in name]
     assert [name for name in bundle.withheld if f"{train(redacted)}/recorded/" in name and str(lost) in name]
+
+
+def test_references_to_the_files_of_a_fleet_do_not_leave(root: Path, tmp_path: Path) -> None:
+    """The paths of lidar sweeps stay in the dataset, and an audit finds them outside."""
+    layout = Layout(root)
+    place = f"traversals/{train(root)}/layers/lidars/recorded@1"
+    stamp = mirror.open(root).where(traversal=train(root)).frames()[0].timestamp_ns
+    pose = {name: float(name == "qw") for name in COLUMNS}
+    row = {"sensor": "top", "timestamp_ns": stamp, "format": "dgp_npz", "uri": "/fleet/car-7/sweep.npz", **pose}
+    data = encode_table(pa.Table.from_pylist([row], schema=LIDARS.schema), LIDARS)
+    write_bytes(root / place / "lidars.parquet", data)
+    seal(root / place, {"lidars.parquet": data}, derived_from={})
+    build_index(root)
+    assert mirror.open(root).where(traversal=train(root)).frames()[0].lidars[0].uris == (row["uri"],)
+    assert not any("lidars" in name for name in list_dataset_files(layout).names)
+    bundle = sealed(publish_to(root, tmp_path / "bundle"))
+    assert not any("lidars" in name for name in bundle.files)
+    assert not any(b"/fleet/car-7" in data for data in files_below(tmp_path / "bundle").values())
+    assert mirror.open(tmp_path / "bundle").where(traversal=train(root)).frames()[0].lidars == ()
+    assert not audit(str(tmp_path / "bundle"), root).leaks
+    shutil.copytree(root / place, tmp_path / "bundle" / place)
+    assert {leak.file for leak in audit(str(tmp_path / "bundle"), root).leaks} == {
+        f"{place}/lidars.parquet", f"{place}/manifest.json",
+    }  # fmt: skip
 
 
 def test_files_that_nothing_names_do_not_leave(redacted: Path, tmp_path: Path) -> None:

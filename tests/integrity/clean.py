@@ -20,14 +20,14 @@ from mirror.dataset.splits import make_split
 from mirror.errors import MirrorError
 from mirror.schema.documents import DatasetDocument, FileEntry, ImageTotals, Manifest, NovelTraversal, Rig
 from mirror.schema.files import read_json, sha256_bytes, write_bytes, write_json
-from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS, PASSES, POINTS
+from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, LIDARS, MASKS, PASSES, POINTS
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, encode_rows
 
 CAMERAS = ("front_wide", "front_left", "front_right")
 SIZE = (48, 32)
 FRAMES = 11
 FRAME_NS = 1_000_000_000
-TABLES = {table.name: table for table in (EGO_POSES, IMAGES, CALIBRATIONS, BOXES, MASKS, DEPTH, POINTS, PASSES)}
+TABLES = {table.name: table for table in (EGO_POSES, IMAGES, CALIBRATIONS, BOXES, MASKS, DEPTH, POINTS, LIDARS, PASSES)}
 TableRows = list[dict[str, Any]]
 
 
@@ -124,6 +124,16 @@ def _layers(builder: Builder, broken: Broken, traversal_id: str) -> None:
         for number in range(3)
     ]  # fmt: skip
     LayerWriter(broken.layout, traversal_id, "points", "sweep", "1").finish(POINTS, points, {})
+    # This file stands for the sweeps of the fleet, which lie outside of the dataset.
+    sweeps = [
+        {
+            "sensor": "top", "timestamp_ns": stamp, "format": "dgp_npz", "uri": str(Path(__file__).absolute()),
+            "byte_length": None, "sha256": None, "qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "tx_m": 0.9, "ty_m": 0.0,
+            "tz_m": 1.8,
+        }
+        for stamp in stamps
+    ]  # fmt: skip
+    builder.layer(traversal_id, "lidars", "recorded@1", LIDARS, sweeps)
 
 
 def _symmetric(rows: TableRows) -> TableRows:

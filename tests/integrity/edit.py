@@ -16,6 +16,7 @@ A0, A1, B2 = "a.d0.1700000000000", "a.d1.1700001000000", "b.d2.1700002000000"
 B2_AGAIN = "b.d2.1700002100000"
 BOXES, MASKS = f"traversals/{A0}/layers/boxes/petr@1", f"traversals/{A0}/layers/masks/sam@2.1"
 DEPTH, POINTS = f"traversals/{A0}/layers/depth/sweep@1", f"traversals/{A0}/layers/points/sweep@1"
+LIDARS = f"traversals/{A0}/layers/lidars/recorded@1"
 RECORDED = f"traversals/{A0}/recorded"
 # TableRows of the cameras in a table of images.
 LEFT, RIGHT, WIDE = range(0, FRAMES), range(FRAMES, 2 * FRAMES), range(2 * FRAMES, 3 * FRAMES)

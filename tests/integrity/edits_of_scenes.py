@@ -21,6 +21,7 @@ from tests.integrity.edit import (
     DEPTH,
     HOUR,
     LEFT,
+    LIDARS,
     MASKS,
     POINTS,
     RECORDED,
@@ -43,8 +44,17 @@ def edits() -> Iterator[Edit]:
     yield from _cameras()
     yield from _images()
     yield from _boxes()
+    yield from _lidars()
     yield from _reconstruction()
     yield from _privacy()
+
+
+def _lidars() -> Iterator[Edit]:
+    file = f"{LIDARS}/lidars.parquet"
+    yield of("LID001", cell(LIDARS, "lidars", 2, uri="/fleet/gone.npz"), file)
+    yield of("LID002", cell(LIDARS, "lidars", 0, timestamp_ns=plus("timestamp_ns", -HOUR)), file)
+    yield of("LID003", cell(LIDARS, "lidars", 1, qw=0.5), file)
+    yield of("LID003", cell(LIDARS, "lidars", 1, tx_m=float("nan")), file)
 
 
 def _poses() -> Iterator[Edit]:

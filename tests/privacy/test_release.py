@@ -25,6 +25,7 @@ from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, complete_manifest, seal
 from mirror.dataset.recorded_map import MAP_FILE
 from mirror.dataset.splits import make_split
+from mirror.geometry.poses import COLUMNS
 from mirror.integrity import check
 from mirror.privacy.log import Review, encode_log, read_log
 from mirror.privacy.release.check import check_release, find_leaving
@@ -37,7 +38,7 @@ from mirror.progress import NullProgress
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.files import read_json, read_table, write_json
 from mirror.schema.road_map import write_road_map
-from mirror.schema.tables import IMAGES, MASKS
+from mirror.schema.tables import IMAGES, LIDARS, MASKS
 from tests.builders.dataset import Builder, encode_rows, write_reconstruction
 from tests.builders.index import segment_folder
 from tests.metrics.safety.streets import two_way_street
@@ -45,6 +46,9 @@ from tests.privacy.conftest import FACE, RED, marked, write_image
 from tests.privacy.images import jpeg
 
 WORDS = ("--name", "street", "--licence", "CC-BY-4.0", "--contact", "privacy@example.org")
+
+
+FLEET_FILE = "/fleet/car-7/sweep.npz"
 
 
 def build(dataset: Path, out: Path, *words: str) -> int:
@@ -63,6 +67,9 @@ def released(deidentified: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     name = opened.traversals()[0]
     stamp = opened.where(traversal=name).table("images", ["timestamp_ns"]).column(0)[0].as_py()
     write_reconstruction(builder, name, "front_wide", stamp)
+    pose = {key: float(key == "qw") for key in COLUMNS}
+    sweep = {"sensor": "top", "timestamp_ns": stamp, "format": "dgp_npz", "uri": FLEET_FILE, **pose}
+    builder.layer(name, "lidars", "recorded@1", LIDARS, [sweep])
     write_road_map(builder.layout.road_map("a") / MAP_FILE, replace(two_way_street(), scene_id="a"))
     map_bytes = (builder.layout.road_map("a") / MAP_FILE).read_bytes()
     seal(builder.layout.road_map("a"), {MAP_FILE: map_bytes}, derived_from={})
@@ -108,6 +115,9 @@ def test_a_release_is_a_dataset_of_redacted_images_without_traces_of_the_origina
     ]
     assert all(start % 86_400_000_000_000 < 1_000_000 for start in starts)
     assert [layer for _, _, layer in _layers(released)].count("depth/sweep@1") == 1
+    # References to the files of a fleet stay behind.
+    assert not list(released.rglob("lidars*"))
+    assert not any(FLEET_FILE.encode() in path.read_bytes() for path in released.rglob("*") if path.is_file())
     said = (released / "DATASHEET.md").read_text()
     for sentence in ("begins at midnight UTC", "were not trimmed", "have pseudonyms of this release"):
         assert sentence in said

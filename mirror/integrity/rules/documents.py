@@ -114,7 +114,7 @@ def _orphan_traversal(view: DatasetView) -> Iterator[Finding]:
             yield Finding(f"traversals/{traversal_id}", None, "no drive's manifest names this traversal")
 
 
-_LAYER_KINDS = ("poses", "calibrations", "boxes", "masks", "redaction", "depth", "points")
+_LAYER_KINDS = ("poses", "calibrations", "boxes", "masks", "redaction", "depth", "points", "lidars")
 
 
 @dataset_rule(

@@ -29,6 +29,7 @@ from mirror.geometry.geodesy import geodetic_to_utm
 from mirror.geometry.poses import COLUMNS, Poses, to_pose_numbers
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import track_from_utm
+from mirror.recordings.lidars import LidarSweeps
 from mirror.recordings.opening import find_file, require_file
 from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
@@ -160,17 +161,21 @@ class Argoverse2Recording:
         cameras = sorted(child.name for child in folder.iterdir() if child.is_dir() and not child.name.startswith("."))
         images: dict[str, dict[int, Path]] = {}
         for camera in sorted(cameras, key=lambda name: (name != _REFERENCE, name)):
-            files: dict[int, Path] = {}
-            for name, file in list_folder(self.path, folder / camera).items():
-                stem, _, suffix = name.rpartition(".")
-                if suffix != "jpg" or not stem.isdecimal() or len(stem) > 19 or int(stem) >= 2**63:
-                    raise RecordingError(
-                        "no image of the camera", file=file, expected="<timestamp_ns>.jpg", remedy="move it elsewhere"
-                    )
-                files[int(stem)] = file
-            if files:
-                images[camera] = dict(sorted(files.items()))
+            if files := self._stamped_files(folder / camera, "jpg", "image of the camera"):
+                images[camera] = files
         return images
+
+    def _stamped_files(self, folder: Path, ending: str, what: str) -> dict[int, Path]:
+        """Files of a sensor by the stamp in their names, in order."""
+        files: dict[int, Path] = {}
+        for name, file in list_folder(self.path, folder).items():
+            stem, _, suffix = name.rpartition(".")
+            if suffix != ending or not stem.isdecimal() or len(stem) > 19 or int(stem) >= 2**63:
+                raise RecordingError(
+                    f"no {what}", file=file, expected=f"<timestamp_ns>.{ending}", remedy="move it elsewhere"
+                )
+            files[int(stem)] = file
+        return dict(sorted(files.items()))
 
     @cached_property
     def rig(self) -> RigInfo | None:
@@ -192,7 +197,7 @@ class Argoverse2Recording:
         return RigInfo(rig_id, cameras, cameras[0].name)
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """Return the poses, calibration, boxes and images; lidar sweeps and maps are not read."""
+        """Return the poses, calibration, boxes and images; no sweep or map is opened."""
         names = [_POSES, *(name for name in (_INTRINSICS, _MOUNTINGS, _BOXES) if find_file(self.path, name))]
         images = [file for files in self._images.values() for file in files.values()]
         listed = [(file.relative_to(self.path).as_posix(), file) for file in images]
@@ -272,6 +277,16 @@ class Argoverse2Recording:
             stamps: Int64 = np.fromiter(files, np.int64, len(files))
             streams[name] = FileStream(name, "jpeg", stamps, stamps, tuple(files.values()))
         return streams
+
+    def lidars(self) -> Sequence[LidarSweeps]:
+        """Return the sweeps, each of both lidars; their points are in the ego frame at the sweep's stamp."""
+        folder = self.path / "sensors" / "lidar"
+        files = self._stamped_files(folder, "feather", "sweep of the lidars") if folder.is_dir() else {}
+        if not files:
+            return ()
+        uris = tuple(str(file.absolute()) for file in files.values())
+        stamps: Int64 = np.fromiter(files, np.int64, len(files))
+        return (LidarSweeps("lidar", "av2_feather", stamps, uris, Poses.identity(len(files))),)
 
     def boxes(self) -> pa.Table | None:
         """Return the annotations; None for a log of the test split."""

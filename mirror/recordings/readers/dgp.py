@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import numpy as np
@@ -27,6 +27,7 @@ from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import mark_invalid_rotations
+from mirror.recordings.lidars import LidarSweeps
 from mirror.recordings.opening import require_file
 from mirror.recordings.paths import require_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
@@ -300,10 +301,27 @@ class DgpRecording:
             streams[name] = FileStream(name, codec_of_name(paths[0]), stamps, stamps, paths)
         return streams
 
+    def lidars(self) -> Sequence[LidarSweeps]:
+        """Return the point clouds of each lidar."""
+        sweeps = []
+        for name in sorted({datum.sensor for datum in self._clouds}):
+            data = [datum for datum in self._clouds if datum.sensor == name]
+            with entry_errors(self.scene_file, f"point clouds of {name}", "a filename for each"):
+                files = [require_text(datum.content["filename"]) for datum in data]
+            uris = tuple(str(self._inside(file).absolute()) for file in files)
+            form = f"dgp_{PurePosixPath(files[0]).suffix[1:] or 'point_cloud'}"
+            stamps: Int64 = np.array([datum.timestamp_ns for datum in data], np.int64)
+            mounted = join_poses([self._extrinsic(datum.calibration, name) for datum in data])
+            sweeps.append(LidarSweeps(name, form, stamps, uris, mounted))
+        return tuple(sweeps)
+
+    @property
+    def _clouds(self) -> list[Datum]:
+        return [datum for datum in self._data if datum.kind == "point_cloud"]
+
     @property
     def _box_files(self) -> list[tuple[Datum, str]]:
-        clouds = [datum for datum in self._data if datum.kind == "point_cloud"]
-        return [(datum, datum.content["annotations"][_BOXES_3D]) for datum in clouds if _has_boxes(datum)]
+        return [(datum, datum.content["annotations"][_BOXES_3D]) for datum in self._clouds if _has_boxes(datum)]
 
     @property
     def _ontology_keys(self) -> list[str]:

@@ -36,7 +36,7 @@ from mirror.recordings.readers.kitti360_boxes import find_boxes, read_boxes
 from mirror.recordings.readers.kitti360_cameras import CALIBRATION_FILES, CAMERAS, read_calibrations
 from mirror.recordings.readers.kitti_files import (
     NO_STAMP,
-    list_numbered_images,
+    list_numbered_files,
     read_frame_stamps,
     read_number_rows,
     to_frame_stream,
@@ -144,7 +144,7 @@ class Kitti360Recording:
         found: dict[str, dict[int, Path]] = {}
         for camera in self.cameras:
             folder = self.root / _IMAGES / self.drive / camera / CAMERAS[camera]
-            files = list_numbered_images(self.root, folder, 10, ("png",))
+            files = list_numbered_files(self.root, folder, 10, ("png",))
             if files:
                 found[camera] = files
         return found

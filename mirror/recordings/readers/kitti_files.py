@@ -145,14 +145,17 @@ def _is_stamp(line: str) -> bool:
     return True
 
 
-def list_numbered_images(root: Path, folder: Path, digits: int, suffixes: Sequence[str]) -> dict[int, Path]:
-    """List the images of a camera by frame number, ascending; empty if there is no such folder.
+def list_numbered_files(
+    root: Path, folder: Path, digits: int, suffixes: Sequence[str], what: str = "image of the camera"
+) -> dict[int, Path]:
+    """List the files of a sensor by frame number, ascending; empty if there is no such folder.
 
     Args:
         root: the folder of the data set.
-        folder: the folder of the images.
+        folder: the folder of the files.
         digits: number of digits of a name.
-        suffixes: suffixes of the names; all images have the same.
+        suffixes: suffixes of the names; all files have the same.
+        what: a file in words, for the message.
 
     Raises:
         RecordingError: a file has another name.
@@ -165,13 +168,42 @@ def list_numbered_images(root: Path, folder: Path, digits: int, suffixes: Sequen
         first = first or suffix
         if suffix not in suffixes or suffix != first or not stem.isdecimal() or len(stem) != digits:
             raise RecordingError(
-                "no image of the camera",
+                f"no {what}",
                 file=file,
                 expected=f"{digits} digits and .{first if first in suffixes else ' or .'.join(suffixes)}",
                 remedy="move it elsewhere",
             )
         files[int(stem)] = file
     return dict(sorted(files.items()))
+
+
+def stamps_of_frames(files: Mapping[int, Path], by_frame: Int64, place: Path, remedy: str) -> Int64:
+    """Return the stamp of each file of a sensor.
+
+    Args:
+        files: files by frame, ascending.
+        by_frame: stamps of the frames by their number.
+        place: the file of the stamps, for the message.
+        remedy: where to get it.
+
+    Returns:
+        (N,) Unix time.
+
+    Raises:
+        RecordingError: the frame of a file has no stamp; the file is named.
+    """
+    frames = np.fromiter(files, np.int64, len(files))
+    inside = frames < len(by_frame)
+    stamps: Int64 = np.where(inside, by_frame[np.where(inside, frames, 0)] if len(by_frame) else 0, 0)
+    missing = ~inside | (stamps == NO_STAMP)
+    if missing.any():
+        raise RecordingError(
+            "the frame has no stamp",
+            file=files[int(frames[np.argmax(missing)])],
+            expected=f"a line with its number in {place.name}",
+            remedy=remedy,
+        )
+    return stamps
 
 
 def to_frame_stream(camera: str, files: Mapping[int, Path], by_frame: Int64, place: Path, remedy: str) -> FileStream:
@@ -187,17 +219,7 @@ def to_frame_stream(camera: str, files: Mapping[int, Path], by_frame: Int64, pla
     Raises:
         RecordingError: the frame of an image has no stamp; the image is named.
     """
-    frames = np.fromiter(files, np.int64, len(files))
-    inside = frames < len(by_frame)
-    stamps: Int64 = np.where(inside, by_frame[np.where(inside, frames, 0)] if len(by_frame) else 0, 0)
-    missing = ~inside | (stamps == NO_STAMP)
-    if missing.any():
-        raise RecordingError(
-            "the frame has no stamp",
-            file=files[int(frames[np.argmax(missing)])],
-            expected=f"a line with its number in {place.name}",
-            remedy=remedy,
-        )
+    stamps = stamps_of_frames(files, by_frame, place, remedy)
     paths = tuple(files.values())
     return FileStream(camera, codec_of_name(paths[0]), stamps, stamps, paths)
 

@@ -39,7 +39,7 @@ from mirror.recordings.readers.kitti_files import (
     CAMERA_HEIGHT_M,
     NO_STAMP,
     camera_centre,
-    list_numbered_images,
+    list_numbered_files,
     read_named_values,
     read_number_rows,
     to_frame_stream,
@@ -155,7 +155,7 @@ class KittiOdometryRecording:
         found = {}
         for camera in CAMERAS:
             folder = self.root / self._folder / camera
-            if files := list_numbered_images(self.root, folder, _DIGITS, _SUFFIXES):
+            if files := list_numbered_files(self.root, folder, _DIGITS, _SUFFIXES):
                 found[camera] = files
         return found
 

@@ -30,6 +30,7 @@ from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_exp, quaternion_multiply
 from mirror.recordings.calibration import to_calibration_table
 from mirror.recordings.coordinates import to_ego_track
+from mirror.recordings.lidars import LidarSweeps, repeat_pose
 from mirror.recordings.on_road import above_road
 from mirror.recordings.opening import find_file, read_file
 from mirror.recordings.paths import list_folder, to_identifier
@@ -38,8 +39,9 @@ from mirror.recordings.readers.collection import one_of
 from mirror.recordings.readers.kitti_files import (
     NO_STAMP,
     RECEIVER_HEIGHT_M,
-    list_numbered_images,
+    list_numbered_files,
     read_frame_stamps,
+    stamps_of_frames,
     to_frame_stream,
 )
 from mirror.recordings.readers.kitti_raw_cameras import CALIBRATION_FILES, read_calibrations, read_lidar_pose
@@ -165,7 +167,7 @@ class KittiRawRecording:
         found = {}
         for camera in CAMERAS:
             folder = self.root / self.drive / camera / "data"
-            if files := list_numbered_images(self.root, folder, _DIGITS, _SUFFIXES):
+            if files := list_numbered_files(self.root, folder, _DIGITS, _SUFFIXES):
                 found[camera] = files
         return found
 
@@ -290,3 +292,16 @@ class KittiRawRecording:
             return None
         _, by_frame = self._stamps(next(iter(self._files), _LIDAR))
         return read_tracklets(file, by_frame, read_lidar_pose(self.root))
+
+    def lidars(self) -> Sequence[LidarSweeps]:
+        """Return the sweeps of ``velodyne_points``, at the instants at which the scanner faces forward."""
+        folder = self.root / self.drive / _LIDAR / "data"
+        files = list_numbered_files(self.root, folder, _DIGITS, ("bin", "txt"), "sweep of the lidar")
+        if not files:
+            return ()
+        place, by_frame = self._stamps(_LIDAR)
+        stamps = stamps_of_frames(files, by_frame, place, f"download {self.drive} again")
+        uris = tuple(str(file.absolute()) for file in files.values())
+        form = f"kitti_velodyne_{next(iter(files.values())).suffix[1:]}"
+        pose = repeat_pose(read_lidar_pose(self.root), len(files))
+        return (LidarSweeps("velodyne", form, stamps, uris, pose),)

@@ -30,6 +30,7 @@ from mirror.errors import RecordingError
 from mirror.geometry.geodesy import TangentFrame
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import track_from_tangent
+from mirror.recordings.lidars import LidarSweeps
 from mirror.recordings.opening import find_file
 from mirror.recordings.paths import require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
@@ -37,6 +38,7 @@ from mirror.recordings.raster import codec_of_name
 from mirror.recordings.readers.collection import choose_drive, one_of
 from mirror.recordings.readers.json_tables import entry_errors
 from mirror.recordings.readers.nuscenes_boxes import make_boxes
+from mirror.recordings.readers.nuscenes_lidars import read_sweeps
 from mirror.recordings.readers.nuscenes_relatives import FOLDERS_OF_RELATIVES, refuse_relatives
 from mirror.recordings.readers.nuscenes_rows import SensorData
 from mirror.recordings.readers.nuscenes_tables import REMEDY, TABLES, Tables, open_tables
@@ -238,7 +240,7 @@ class NuscenesRecording:
         return RigInfo(rig_id, cameras, cameras[0].name)
 
     def named_files(self) -> Sequence[tuple[str, Path]]:
-        """Return the tables and the scene's images, missing ones included; point clouds and maps are not read."""
+        """Return the tables and the scene's images, missing ones included; no point cloud or map is opened."""
         files = {name: self.tables.folder / name for name in (f"{table}.json" for table in TABLES)}
         for channel, rows in self._cameras.items():
             files |= dict(zip(rows.filename.to_pylist(), self._image_paths[channel]))
@@ -351,6 +353,11 @@ class NuscenesRecording:
             stamps: Int64 = np.clip(rows.timestamp_us, -_LAST_US, _LAST_US) * 1_000
             streams[name] = FileStream(name, codec_of_name(paths[0]), stamps, stamps, paths)
         return streams
+
+    def lidars(self) -> Sequence[LidarSweeps]:
+        """Return the sweeps of each lidar; with the option ``sweeps=no`` those of annotated frames."""
+        data = self._data if self.sweeps else self._data.take(self._data.key_frame)
+        return read_sweeps(self.tables, data, _LAST_US)
 
     def boxes(self) -> pa.Table | None:
         """Return the boxes of the annotated frames, with velocities; None without boxes, as in the test split."""

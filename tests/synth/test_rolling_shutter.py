@@ -25,7 +25,7 @@ AFTER_NS = 6_000_000_000
 @pytest.fixture(autouse=True)
 def _smaller(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each line of an image is rendered by itself: few and small images."""
-    monkeypatch.setitem(PRESETS, "smaller", replace(PRESETS["tiny"], name="smaller", width_px=64, image_hz=0.1))
+    monkeypatch.setitem(PRESETS, "smaller", replace(PRESETS["tiny"], name="smaller", width_px=64, image_hz=0.05))
 
 
 def _drive(direction: str) -> SynthDrive:

@@ -84,15 +84,16 @@ def parse_arguments(
     return arguments
 
 
-def help_text(*, default: str | None = None, metavar: str | None = None) -> Any:
+def help_text(*, default: str | None = None, metavar: str | None = None, name: str | None = None) -> Any:
     """Return the annotation of an option for its help text, for `typing.Annotated`.
 
     Args:
         default: the default in words, for an option that may be left out and has no value of its own then.
         metavar: the placeholder of the value, in place of its type.
+        name: the name of the option, where that of its field will not do.
     """
     hint = None if default is None else f"(default: {default})"
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)
+    return tyro.conf.arg(name=name, metavar=metavar, help_behavior_hint=hint)
 
 
 def require_writable(out: Path, place: str) -> None:

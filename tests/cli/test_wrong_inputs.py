@@ -264,6 +264,10 @@ simulate {d} --scenario hard-brake --policy idm --duration 0 --out a
 simulate {d} empty --scenario hard-brake --policy idm --out a
 simulate {d} undone --method method.py:METHOD --scenario free-traffic --policy idm --out a
 simulate synth:nope --scenario hard-brake --policy idm --out a
+simulate {d} --scenario hard-brake --policy idm --at 1 --out a => --at: 1 s
+simulate {d} --from empty --policy idm --at 1 --out a => no complete rollout here
+simulate {d} --from empty --policy idm --out a => --from: no policy, or no instant
+simulate {d} --from empty --at 1 --policy idm --seed 3 --out a => --from: it has its own scenario
 protocols
 protocols show nope
 submission

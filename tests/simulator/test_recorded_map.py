@@ -20,7 +20,7 @@ from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.schema.files import read_json
 from mirror.schema.road_map import MapLane, read_road_map, write_road_map
-from mirror.schema.rollout import MAP_FILE, read_rollout
+from mirror.schema.rollout import MAP_FILE, STATES_FILE, read_rollout
 from mirror.schema.scenario import Scenario, write_scenario
 from tests.builders.folder import SCENE, write_recording
 from tests.ingest.maps import east_map
@@ -93,6 +93,20 @@ def test_a_rollout_is_repeated_in_its_dataset_and_no_other(
     assert f"{tmp_path / 'lost.toml'}: ego.route.lanes: there is no lane 'nowhere'" in capsys.readouterr().err
     assert main(["simulate", "fitted", *repeat]) == 0
     assert "bit for bit" in capsys.readouterr().out
+    later = ["--from", str(out), "--no-video", "--out", str(tmp_path / "later"), "--policy", "constant-velocity"]
+    for source, options, reason in (
+        (["recorded"], ["--at", "0.5"], "--from: the rollout was made with the dataset"),
+        (["fitted"], ["--at", "0.5", "--renderer", "exact"], "--renderer: the drive of"),
+        (["fitted"], ["--at", "1"], "--at: 1 s is no instant from which it can go on"),
+        (["fitted"], ["--at", "0.5", "--scenario", "short.toml"], "--from: it has its own scenario"),
+        (["fitted"], [], "--from: no policy, or no instant"),
+    ):
+        assert main(["simulate", *source, *later, *options]) == 2
+        assert reason in capsys.readouterr().err
+        assert not (tmp_path / "later").exists()
+    assert main(["simulate", "fitted", *later, "--at", "0.5"]) == 0
+    assert (tmp_path / "later" / STATES_FILE).read_bytes() == (out / STATES_FILE).read_bytes()
+    assert read_rollout(tmp_path / "later").policy == "constant-velocity after 0.5 s of constant-velocity"
 
 
 def test_the_ego_starts_on_a_lane_that_was_driven(folder: Path, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from hybridworldsim.simulator.policies.references import LaneKeeping, Log, Stop
 from hybridworldsim.simulator.policy_registry import make_policy, policy_names
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
+from hybridworldsim.simulator.rollout.earlier_drive import EarlierDrive
 from hybridworldsim.simulator.rollout.run import VIDEO_FILE, run_rollout
 from hybridworldsim.simulator.rollout.same_street import require_same_street
 from mirror.errors import UsageError
@@ -74,6 +75,67 @@ def test_a_repeated_rollout_has_the_same_states_to_the_bit(tmp_path: Path) -> No
     changed = [*actions[:-1], Controls(actions[-1].acceleration_mps2 + 1e-9, actions[-1].curvature_radpm)]
     run_rollout(request(Repeat(changed)), tmp_path / "third")
     assert (tmp_path / "third" / STATES_FILE).read_bytes() != first
+
+
+class Weaving:
+    """Plans with what it remembers: every fourth step a trajectory to the other side, between them nothing."""
+
+    cameras, privileged = (), False
+
+    def reset(self, spec: ObservationSpec) -> None:
+        self.steps = 0
+
+    def act(self, observation: Observation) -> PlannedTrajectory | None:
+        self.steps += 1
+        if self.steps % 4 != 1:
+            return None
+        times, aside = np.array([1.0, 3.0]), 0.4 if self.steps % 8 == 1 else -0.4
+        return PlannedTrajectory(times, np.column_stack([5.0 * times, np.full(2, aside), np.zeros(2)]))
+
+    def close(self) -> None:
+        """Release nothing."""
+
+
+@pytest.mark.parametrize("step", [1, 10, 29])
+def test_a_drive_that_goes_on_from_an_instant_is_the_earlier_one_where_the_policy_is_the_same(
+    tmp_path: Path, step: int
+) -> None:
+    run_rollout(request(Weaving()), tmp_path / "first")
+    earlier = EarlierDrive.read(tmp_path / "first")
+    controls = earlier.controls_until(0.1 * step, earlier.scenario)
+    assert len(controls) == step
+    run_rollout(request(Weaving(), begins_with=controls), tmp_path / "same")
+    for name in (STATES_FILE, ACTIONS_FILE):
+        assert (tmp_path / "same" / name).read_bytes() == (tmp_path / "first" / name).read_bytes()
+    other = Scripted(lambda number: Controls(-4.0, 0.0))
+    run_rollout(request(other, begins_with=controls), tmp_path / "other")
+    assert len(other.seen) == 30
+    # it observes from the start, and steers from the instant on
+    assert read_actions(tmp_path / "other" / ACTIONS_FILE) == (*controls, *[Controls(-4.0, 0.0)] * (30 - step))
+    first, then = (read_state_log(tmp_path / name / STATES_FILE) for name in ("first", "other"))
+    assert np.array_equal(first.x_m[: step + 1], then.x_m[: step + 1])
+    assert not np.array_equal(first.x_m[step + 1 :], then.x_m[step + 1 :])
+
+
+@pytest.mark.parametrize("at_s", [0.0, 0.15, 3.0, 9.0, -1.0])
+def test_a_drive_goes_on_from_an_instant_of_the_earlier_one_alone(tmp_path: Path, at_s: float) -> None:
+    run_rollout(request(Stop()), tmp_path / "run")
+    earlier = EarlierDrive.read(tmp_path / "run")
+    with pytest.raises(UsageError, match="ended after 3 s") as refused:
+        earlier.controls_until(at_s, earlier.scenario)
+    assert refused.value.place == "--at" and "0.1 s, up to 2.9 s" in str(refused.value.expected)
+    longer = earlier.scenario.model_copy(update={"duration_s": 4.0})
+    assert len(earlier.controls_until(3.0, longer)) == 30
+
+
+def test_images_of_another_renderer_or_model_are_refused(tmp_path: Path) -> None:
+    run_rollout(request(Stop()), tmp_path / "run")
+    earlier = EarlierDrive.read(tmp_path / "run")
+    earlier.require_renderer("boxes", None)
+    with pytest.raises(UsageError, match="'boxes', not 'exact'"):
+        earlier.require_renderer("exact", None)
+    with pytest.raises(UsageError, match="another model"):
+        earlier.require_renderer("boxes", "0" * 64)
 
 
 def test_a_policy_gets_the_cameras_that_it_asks_for_and_no_others(tmp_path: Path) -> None:

@@ -13,19 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from mirror.command_line import help_text, parse_arguments
-from mirror.devices import CPU
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from hybridworldsim.simulator.policies.protocol import Policy
-    from hybridworldsim.simulator.renderers.generated import DriveGenerator
-    from hybridworldsim.simulator.rollout.run import RolloutRequest, RolloutResult
+    from hybridworldsim.simulator.rollout.run import RolloutResult
 
 _EXAMPLES = (
     "mirror simulate demo/block/dataset --scenario hard-brake --policy idm --out rollout",
     "mirror simulate demo/block/dataset demo/block/model --scenario cut-in --policy idm --out rollout",
 )
-_SYNTH = "synth:"
+_PLACES = {"source": "DATASET", "begin": "--from"}
 
 
 @dataclass(frozen=True)
@@ -107,6 +104,11 @@ class Arguments:
     """Longest time that the policy may take for an action."""
     replay: Annotated[Path | None, help_text(default="none", metavar="RUN")] = None
     """Repeat the controls of an earlier rollout on its street, with its scenario and seed, and compare the states."""
+    begin: Annotated[Path | None, help_text(name="from", default="none", metavar="RUN")] = None
+    """With --at and --policy: go on from an instant of an earlier rollout, on its street, with its scenario and seed.
+    Its controls are driven up to there, while the policy observes."""
+    at: Annotated[float | None, help_text(default="none", metavar="SECONDS")] = None
+    """With --from: the instant from which the policy drives."""
     suite: Annotated[str | None, help_text(default="none", metavar="NAME|FILE.toml")] = None
     """Drive all drives of a protocol with a suite, such as closed-loop; of the options, only --policy, --policy-folder,
     --secret, --out, --workers and --json count. Repeat the command after an interruption."""
@@ -133,10 +135,11 @@ def main(argv: Sequence[str]) -> int:
         )  # fmt: skip
 
     from hybridworldsim.simulator.rollout.run import require_new_rollout, run_rollout
+    from hybridworldsim.simulator.single_drive import make_request
     from mirror.progress import progress_bar
 
     require_new_rollout(arguments.out)
-    request = _request(arguments)
+    request = make_request(arguments)
     with progress_bar(quiet=arguments.json) as bar:
         result = run_rollout(request, arguments.out, bar)
     same = None if arguments.replay is None else _has_same_states(arguments.replay, arguments.out)
@@ -158,7 +161,7 @@ def _drive_suite(arguments: Arguments, suite: str) -> int:
     for field in fields(Arguments):
         if field.name not in kept and getattr(arguments, field.name) != field.default:
             raise UsageError(
-                "the suite states it", place="DATASET" if field.name == "source" else f"--{field.name}",
+                "the suite states it", place=_PLACES.get(field.name, f"--{field.name}"),
                 expected="--suite, --policy, --policy-folder, --secret, --out, --workers and --json alone",
             )  # fmt: skip
     if arguments.policy is None or "://" in arguments.policy:
@@ -189,168 +192,6 @@ def _drive_suite(arguments: Arguments, suite: str) -> int:
     if done.machine_errors:
         return ExitCode.PARTLY_DONE
     return ExitCode.FINDINGS if done.policy_errors else ExitCode.DONE
-
-
-def _request(arguments: Arguments) -> RolloutRequest:
-    from hybridworldsim.simulator.renderers.protocol import rig_cameras
-    from hybridworldsim.simulator.renderers.registry import RendererFactory, choose_renderer_device
-    from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
-    from hybridworldsim.simulator.rollout.run import RolloutRequest
-    from hybridworldsim.simulator.rollout.same_street import require_same_street
-    from hybridworldsim.simulator.street.opening import open_street
-    from mirror.schema.rollout import SCENARIO_FILE, read_rollout
-    from mirror.schema.scenario import Scenario, read_scenario, scenario_file
-
-    if arguments.source is None:
-        raise UsageError("no street", place="DATASET", expected="a dataset, synth:PRESET, or --suite NAME")
-    for option, seconds in (("--deadline", arguments.deadline), ("--duration", arguments.duration)):
-        if seconds is not None and not 0.0 < seconds <= 3600.0:
-            raise UsageError(f"{seconds:g} s", place=option, expected="a number of seconds above 0, at most 3600")
-    is_synth = arguments.source.startswith(_SYNTH)
-    if (Path(arguments.source) / "reconstruction.json").is_file():
-        raise UsageError(
-            "a model has no rig and no recordings", file=arguments.source, place="DATASET",
-            expected="the dataset that it was trained on", remedy="name both: mirror simulate DATASET MODEL",
-        )  # fmt: skip
-    if arguments.model is not None and not (arguments.model / "reconstruction.json").is_file():
-        raise UsageError(
-            "no model here", file=arguments.model, place="MODEL", expected="a folder that `mirror reconstruct` wrote"
-        )
-    plain_name = "reconstructed" if arguments.model else "exact" if is_synth else "boxes"
-    name = arguments.renderer or ("generated" if arguments.generator else plain_name)
-    device = choose_renderer_device(arguments.device, arguments.model, arguments.method)
-    if device is not None and not arguments.json:
-        print(device, flush=True)
-    generator = _generator(arguments)
-    device_name = CPU if device is None else device.name
-    factory = RendererFactory(name, arguments.model, arguments.method, device=device_name, generator=generator)
-    seed, policy_name = arguments.seed, arguments.policy
-    if arguments.replay is not None:
-        given = (arguments.scenario, policy_name, seed, arguments.hz)
-        if any(one is not None for one in given):
-            raise UsageError(
-                "it has its own scenario, controls, seed and rate", place="--replay",
-                expected="neither --scenario nor --policy nor --seed nor --hz",
-            )  # fmt: skip
-        earlier = read_rollout(arguments.replay)
-        file = str(arguments.replay / SCENARIO_FILE)
-        scenario, seed = read_scenario(file), earlier.seed
-        # A rollout that its policy ended has as many steps as it has controls.
-        scenario = scenario.model_copy(update={"duration_s": max(earlier.steps, 1) / scenario.rate_hz})
-        policy: Any = Repeat(read_actions(arguments.replay / ACTIONS_FILE))
-        policy_name = f"replay of {earlier.policy}"
-    elif arguments.scenario is None or policy_name is None:
-        raise UsageError(
-            "no scenario, or no policy", place="--scenario, --policy", expected="both of them, or --replay RUN"
-        )
-    else:
-        file = scenario_file(arguments.scenario)
-        scenario, policy = read_scenario(arguments.scenario), _policy(arguments, policy_name)
-    if generator is not None and arguments.replay is None:
-        scenario = generator.at_rate(scenario, arguments.hz)
-    if generator is not None and not arguments.json:
-        print(generator.describe_rate(scenario), flush=True)
-    if arguments.duration is not None:
-        if round(arguments.duration * scenario.rate_hz) < 1:
-            raise UsageError(
-                f"{arguments.duration:g} s", place="--duration",
-                expected=f"at least one step of the scenario, {1.0 / scenario.rate_hz:g} s",
-            )  # fmt: skip
-        plain = {**scenario.model_dump(), "duration_s": arguments.duration}
-        scenario = Scenario.model_validate(plain)
-    street = open_street(arguments.source, scene=arguments.scene, road_map=arguments.map, boxes=arguments.boxes)
-    dataset_hash = _dataset_hash(arguments.source)
-    if arguments.replay is not None:
-        require_same_street(arguments.replay, earlier, street, scenario, dataset_hash)
-    shown = tuple(street.rig) if arguments.cameras is None else tuple(arguments.cameras.split(","))
-    unknown = [camera for camera in shown if camera not in street.rig]
-    if unknown:
-        raise UsageError(
-            f"no camera {', '.join(unknown)}", place="--cameras", expected=f"some of {', '.join(street.rig)}"
-        )
-    unknown = [camera for camera in policy.cameras if camera not in street.rig]
-    if unknown:
-        raise UsageError(
-            f"policy {policy_name} reads the images of {', '.join(unknown)}, which the rig does not have",
-            place="--policy", expected=f"cameras of {', '.join(street.rig)}",
-            remedy="mend the attribute cameras of the policy",
-        )  # fmt: skip
-    wanted = dict.fromkeys((*policy.cameras, *(shown if arguments.video else ())))
-    return RolloutRequest(
-        street=street,
-        scenario=scenario,
-        policy=policy,
-        policy_name=policy_name,
-        cameras=rig_cameras(street, tuple(wanted), arguments.width, arguments.height),
-        factory=factory,
-        seed=seed,
-        video=shown if arguments.video else (),
-        page=arguments.report,
-        scenario_file=file,
-        # A remote policy's own calls end at its deadline.
-        deadline_s=math.inf if arguments.deadline is None or "://" in policy_name else arguments.deadline,
-        dataset_hash=dataset_hash,
-        model_hash=None if arguments.model is None else _model_hash(arguments.model, generator),
-    )
-
-
-def _generator(arguments: Arguments) -> DriveGenerator | None:
-    if arguments.generator is None:
-        given = (arguments.fallback is not None, arguments.blend != "4", arguments.hz is not None)
-        for option, is_given in zip(("--fallback", "--blend", "--hz"), given):
-            if is_given:
-                raise UsageError("it concerns generated road users", place=option, expected="--generator beside it")
-        return None
-    from hybridworldsim.generation.commands.model_paths import find_model_files
-    from hybridworldsim.generation.commands.scene import parse_blend
-    from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
-    from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
-    from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
-    from hybridworldsim.simulator.renderers.generated import DriveGenerator
-
-    if arguments.sampler_steps < 1:
-        raise UsageError(f"{arguments.sampler_steps} steps", place="--sampler-steps", expected="at least 1")
-    rollout = ClipRolloutOptions(SamplerSettings(arguments.sampler_steps), blend_px=parse_blend(arguments.blend))
-    files = GeneratorFiles(*find_model_files(arguments.generator, None))
-    return DriveGenerator(files, rollout, falls_back=arguments.fallback is not None)
-
-
-def _policy(arguments: Arguments, name: str) -> Policy:
-    from hybridworldsim.simulator.policy_registry import make_policy
-
-    if "://" not in name and arguments.driver is None:
-        return make_policy(name)
-    from hybridworldsim.simulator.remote.driver_file import DriverFile, read_driver_file
-    from hybridworldsim.simulator.remote.policy import require_driver
-
-    driver = DriverFile() if arguments.driver is None else read_driver_file(arguments.driver)
-    if arguments.deadline is not None:
-        driver = driver.model_copy(update={"deadline_s": arguments.deadline})
-    policy = make_policy(name, driver)
-    require_driver(name)
-    return policy
-
-
-def _dataset_hash(source: str) -> str | None:
-    if source.startswith(_SYNTH):
-        return None
-    import mirror
-
-    return mirror.open(source).index_sha256
-
-
-def _model_hash(folder: Path, generator: DriveGenerator | None) -> str:
-    import hashlib
-
-    digest = hashlib.sha256()
-    # The weights of our methods; a method of another package or file may write any file.
-    files = sorted(folder.rglob("*.safetensors")) or sorted(path for path in folder.rglob("*") if path.is_file())
-    for path in files:
-        digest.update(path.relative_to(folder).as_posix().encode())
-        digest.update(path.read_bytes())
-    if generator is not None:
-        digest.update("".join(generator.files.hashes().values()).encode())
-    return digest.hexdigest()
 
 
 def _has_same_states(earlier: Path, later: Path) -> bool:

@@ -89,8 +89,12 @@ class Simulation:
         """The present state."""
         return self.world.now
 
-    def advance(self, action: Action) -> Ending | None:
+    def advance(self, action: Action, *, instead: Controls | None = None) -> Ending | None:
         """Advance by one step; returns the reason why the rollout ends, or None.
+
+        Args:
+            action: the action, or None: the trajectory of an earlier one goes on.
+            instead: controls that are driven in place of the action's, whose trajectory is kept for later steps.
 
         Raises:
             UsageError: the action is not valid; the state is that before it.
@@ -108,6 +112,8 @@ class Simulation:
             )
         if self._trajectory is not None:
             self._controls = self._tracker.track(now.ego, self._trajectory, now.time_s)
+        if instead is not None:
+            self._controls = instead
         self.recorder.add(self.world.advance(self._controls))
         return self._ending()
 

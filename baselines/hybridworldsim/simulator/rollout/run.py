@@ -74,6 +74,7 @@ class RolloutRequest:
         ends_off_road: whether the drive ends where the whole body of the ego is off the drivable area.
         sensors: the fault of the sensors; None: they have none.
         scenario_file: file of the scenario, which errors name; None: it is of no file.
+        begins_with: controls of the first steps, in which the policy observes and does not steer.
     """
 
     street: Street
@@ -91,6 +92,7 @@ class RolloutRequest:
     ends_off_road: bool = False
     sensors: SensorFault | None = None
     scenario_file: str | None = None
+    begins_with: Sequence[Controls] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,8 +246,10 @@ class _Drive:
                 if simulation.now.step == 0:
                     runner.reset(simulation.observation_spec(specs))
                 action = runner.act(observe())
+                step = simulation.now.step
+                instead = request.begins_with[step] if step < len(request.begins_with) else None
                 try:
-                    ending = simulation.advance(action)
+                    ending = simulation.advance(action, instead=instead)
                 except UsageError as error:
                     raise PolicyError(
                         error.problem, place=f"policy {request.policy_name!r}, step {simulation.now.step}",

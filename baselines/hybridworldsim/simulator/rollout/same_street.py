@@ -15,8 +15,9 @@ from mirror.schema.scenario import Scenario
 
 
 def require_same_street(
-    folder: Path, earlier: Rollout, street: Street, scenario: Scenario, dataset_hash: str | None
-) -> None:
+    folder: Path, earlier: Rollout, street: Street, scenario: Scenario, dataset_hash: str | None,
+    option: str = "--replay",
+) -> None:  # fmt: skip
     """Require that a rollout was driven on a street: in its scene, dataset, map and recording.
 
     The renderer and its model may be others: the states do not depend on them.
@@ -27,33 +28,34 @@ def require_same_street(
         street: the street.
         scenario: the scenario of the rollout.
         dataset_hash: hash of the dataset of the street; None: it is synthetic.
+        option: the option that names the rollout.
 
     Raises:
         UsageError: the rollout was driven on another street; the error says which.
         DatasetError, SchemaError: the map or the states of the rollout cannot be read.
     """
     if earlier.scene_id != street.scene_id:
-        raise _another_street(folder, ROLLOUT, f"scene {earlier.scene_id!r}", f"scene {street.scene_id!r}")
+        raise _another_street(folder, ROLLOUT, f"scene {earlier.scene_id!r}", f"scene {street.scene_id!r}", option)
     if earlier.dataset_hash != dataset_hash:
-        raise _another_street(folder, ROLLOUT, _dataset(earlier.dataset_hash), _dataset(dataset_hash))
+        raise _another_street(folder, ROLLOUT, _dataset(earlier.dataset_hash), _dataset(dataset_hash), option)
     driven, present = (encode_road_map(one) for one in (read_road_map(folder / MAP_FILE), street.road_map))
     if driven != present:
         raise _another_street(
             folder, MAP_FILE, f"the road map of this file ({earlier.map_source or 'source not stated'})",
-            f"another one of scene {street.scene_id!r} ({street.map_source or 'source not stated'})",
+            f"another one of scene {street.scene_id!r} ({street.map_source or 'source not stated'})", option,
         )  # fmt: skip
     simulation = start_simulation(street, scenario, earlier.seed, scenario_file=str(folder / SCENARIO_FILE))
     start_ns = int(read_state_log(folder / STATES_FILE).stamps_ns[0])
     if start_ns != simulation.now.stamp_ns:
         raise _another_street(
             folder, STATES_FILE, f"a recording in which the scenario begins at {_utc(start_ns)}",
-            f"one in which it begins at {_utc(simulation.now.stamp_ns)}",
+            f"one in which it begins at {_utc(simulation.now.stamp_ns)}", option,
         )  # fmt: skip
 
 
-def _another_street(folder: Path, file: str, made: str, given: str) -> UsageError:
+def _another_street(folder: Path, file: str, made: str, given: str, option: str) -> UsageError:
     return UsageError(
-        f"the rollout was made with {made}; this street has {given}", file=folder / file, place="--replay",
+        f"the rollout was made with {made}; this street has {given}", file=folder / file, place=option,
         expected="the street of the rollout", remedy="name the street, dataset and map that the rollout was made with",
     )  # fmt: skip
 

@@ -257,7 +257,7 @@ def build_tile_lists(
     levels: Int64,
     cells: Int64,
     cell_tiles: Int32,
-    small: float,
+    small: Float64,
     rotation: Float64,
     x: float,
     y: float,
@@ -280,7 +280,7 @@ def build_tile_lists(
         levels: levels of the lens.
         cells: cells of directions of the lens.
         cell_tiles: tiles of the cells.
-        small: sine of the half angle below which the cells list all tiles of a surface.
+        small: (2,) sines of the half angles below which the cells list all tiles of a surface.
         rotation: (3, 3) world_R_camera.
         x: camera position, world metres.
         y: camera position, world metres.
@@ -310,9 +310,10 @@ def build_tile_lists(
             for pair in range(used):
                 longer[pair, 0], longer[pair, 1] = pairs[pair, 0], pairs[pair, 1]
             pairs = longer
-        if sine < small:
-            cell = _find_cell(rotation, dx, dy, dz, len(cells) - 1)
-            for entry in range(cells[cell], cells[cell + 1]):
+        if sine < small[1]:
+            size = 0 if sine < small[0] else 1
+            cell = _find_cell(rotation, dx, dy, dz, cells.shape[1] - 1)
+            for entry in range(cells[size, cell], cells[size, cell + 1]):
                 at = cell_tiles[entry]
                 if distance <= limits[at] and _sphere_may_meet(turned[at], dx, dy, dz, cosine, sine):
                     pairs[used, 0], pairs[used, 1] = at, place

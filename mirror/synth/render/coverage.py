@@ -11,6 +11,7 @@ from numba import njit
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.compiled import inner_per_pixel
 from mirror.portable import scalars
+from mirror.synth.model.surfaces import MOST_CORNERS
 from mirror.synth.render.binning import fill_ray_tests
 from mirror.synth.render.lens import TILE_PX
 
@@ -24,6 +25,8 @@ _ROUNDING: Final = 4e-6
 """Square of the angle, radians, by which rounding to float32 widens the smallest ellipsoids."""
 _MARGIN: Final = 1e-4
 """Angle, radians, by which rounding to float32 widens a surface at most."""
+_INEXACT: Final = 2e-6
+"""Bound of the rounding to float32 in a dot product of a ray and a unit vector."""
 
 _TURN: Final = scalars.atan(0.5)
 OFFSETS: Final = np.array(
@@ -99,6 +102,9 @@ def compute_coverage(
     sx, sy, sz = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     inverse, inside, found = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.int32)
     run, reach, lines = samples * TILE_PX, np.empty(_AREA, np.float32), np.empty((2, 2, TILE_PX))
+    px, py, pz = np.empty(_AREA, np.float32), np.empty(_AREA, np.float32), np.empty(_AREA, np.float32)
+    ahead, least = np.empty(_AREA, np.float32), np.empty(TILE_PX, np.float32)
+    crossed = np.empty(MOST_CORNERS, np.int64)
     surfaces, sums = np.empty(samples, np.int32), np.empty((samples, 3), np.float32)
     differs = np.empty(_AREA, np.int32)
     room = height * width // 2 + count
@@ -135,6 +141,10 @@ def compute_coverage(
             inverse[i], found[i] = np.float32(0.0), SKY
         for pixel in range(_AREA):
             reach[pixel] = np.float32(0.0)
+            at = pixel // TILE_PX * run + pixel % TILE_PX
+            px[pixel], py[pixel], pz[pixel] = sx[at], sy[at], sz[at]
+        for row in range(TILE_PX):
+            least[row] = np.float32(0.0)
         farthest = np.float32(0.0)
         for at in range(begins[tile], begins[tile + 1]):
             place = lists[at]
@@ -153,13 +163,24 @@ def compute_coverage(
             if filled[place] == 0:
                 fill_ray_tests(faces, corners, rounds, order[place], x, y, z, rows, first)
                 filled[place] = 1
-            if order[place] < number and _is_outside(rows, first, last, cx, cy, cz, sine):
-                continue
+            edges = 0
+            if order[place] < number:
+                edges = _list_edges(rows, first, last, cx, cy, cz, sine, crossed)
+                if edges < 0:
+                    continue
+                begin, end = upper * TILE_PX, lower * TILE_PX
+                above, below = _find_rows(
+                    rows, first, crossed, edges, px[begin:end], py[begin:end], pz[begin:end],
+                    ax, ay, az, bx, by, bz, spread, reach[begin:end], ahead,
+                )  # fmt: skip
+                if above == below:
+                    continue
+                upper, lower = upper + above, upper + below
             counts[1] += 1
             begin, end = upper * run, lower * run
             if order[place] < number:
                 won = _try_face(
-                    rows, first, last, cx, cy, cz, sine, sx[begin:end], sy[begin:end], sz[begin:end], inside,
+                    rows, first, crossed, edges, sx[begin:end], sy[begin:end], sz[begin:end], inside,
                     inverse[begin:end], found[begin:end], place,
                 )  # fmt: skip
             else:
@@ -168,10 +189,10 @@ def compute_coverage(
                     place,
                 )  # fmt: skip
             if won > 0:
-                _lower_reach(inverse, samples, upper, lower, reach)
-                farthest = reach[0]
-                for pixel in range(1, _AREA):
-                    farthest = min(farthest, reach[pixel])
+                _lower_reach(inverse, samples, upper, lower, reach, least)
+                farthest = least[0]
+                for row in range(1, TILE_PX):
+                    farthest = min(farthest, least[row])
         for pixel in range(_AREA):
             differs[pixel] = 0
         for row in range(TILE_PX):
@@ -217,12 +238,82 @@ def compute_coverage(
 
 
 @inner_per_pixel()
-def _is_outside(rows: Float32, first: int, last: int, cx: float, cy: float, cz: float, sine: float) -> bool:
-    """Return whether a tile lies outside an edge of a face; a sine above 1 is that of no cone."""
-    outside = False
+def _list_edges(
+    rows: Float32, first: int, last: int, cx: float, cy: float, cz: float, sine: float, crossed: Int64
+) -> int:
+    """List the edges of a face that cross a tile; returns their number, or -1 if the tile lies outside an edge.
+
+    A sine above 1 is that of no cone.
+    """
+    edges = 0
     for edge in range(first + 1, last):
-        outside = outside or rows[edge, 0] * cx + rows[edge, 1] * cy + rows[edge, 2] * cz < -sine
-    return outside
+        out = rows[edge, 0] * cx + rows[edge, 1] * cy + rows[edge, 2] * cz
+        if out < -sine:
+            return -1
+        if out < sine:
+            crossed[edges] = edge
+            edges += 1
+    return edges
+
+
+@inner_per_pixel()
+def _find_rows(
+    rows: Float32, first: int, crossed: Int64, edges: int, px: Float32, py: Float32, pz: Float32,
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float, spread: float, reach: Float32,
+    ahead: Float32,
+) -> tuple[int, int]:  # fmt: skip
+    """Find the rows of pixels that a face may touch, and where rays hit nothing nearer.
+
+    A ray of a pixel is its first one and at most ``spread`` times the steps to its neighbours, so that the dot product
+    with a row of coefficients changes by no more than that.
+
+    Args:
+        rows: coefficients of `binning.fill_ray_tests`.
+        first: first row of the face.
+        crossed: from `_list_edges`.
+        edges: number of edges that cross the tile.
+        px: x of the first rays of the pixels.
+        py: y.
+        pz: z.
+        ax: change of the rays from pixel to pixel, to the right.
+        ay: to the right.
+        az: to the right.
+        bx: downwards.
+        by: downwards.
+        bz: downwards.
+        spread: largest difference of a pixel's offsets from its first, pixels.
+        reach: least inverse distances of the rays of the pixels.
+        ahead: buffer of a number for each pixel.
+
+    Returns:
+        The first row, and the one behind the last; the same if there are none.
+    """
+    a, b, c = rows[first, 0], rows[first, 1], rows[first, 2]
+    slack = spread * (abs(a * ax + b * ay + c * az) + abs(a * bx + b * by + c * bz))
+    more = np.float32(slack + _INEXACT * (abs(a) + abs(b) + abs(c)))
+    count = len(px)
+    for i in range(count):
+        ahead[i] = a * px[i] + b * py[i] + c * pz[i] + more - reach[i]
+    for at in range(edges):
+        a, b, c = rows[crossed[at], 0], rows[crossed[at], 1], rows[crossed[at], 2]
+        slack = spread * (abs(a * ax + b * ay + c * az) + abs(a * bx + b * by + c * bz))
+        more = np.float32(slack + _INEXACT)
+        for i in range(count):
+            ahead[i] = min(ahead[i], a * px[i] + b * py[i] + c * pz[i] + more)
+    upper, lower = 0, count // TILE_PX
+    while upper < lower and not _is_any_ahead(ahead, upper):
+        upper += 1
+    while lower > upper and not _is_any_ahead(ahead, lower - 1):
+        lower -= 1
+    return upper, lower
+
+
+@inner_per_pixel()
+def _is_any_ahead(ahead: Float32, row: int) -> bool:
+    found = 0
+    for column in range(TILE_PX):
+        found |= ahead[row * TILE_PX + column] >= np.float32(0.0)
+    return found > 0
 
 
 @inner_per_pixel()
@@ -361,8 +452,8 @@ def _is_hidden(reach: Float32, nearest: float, left: int, right: int, top: int, 
 
 
 @inner_per_pixel()
-def _lower_reach(inverse: Float32, samples: int, top: int, bottom: int, reach: Float32) -> None:
-    """Set the least inverse distance of the rays of each pixel in some rows of a tile."""
+def _lower_reach(inverse: Float32, samples: int, top: int, bottom: int, reach: Float32, least: Float32) -> None:
+    """Set the least inverse distance of the rays of each pixel in some rows of a tile, and of all rays of a row."""
     for row in range(top, bottom):
         first = row * samples * TILE_PX
         for column in range(TILE_PX):
@@ -371,17 +462,17 @@ def _lower_reach(inverse: Float32, samples: int, top: int, bottom: int, reach: F
             for column in range(TILE_PX):
                 at = row * TILE_PX + column
                 reach[at] = min(reach[at], inverse[first + sample * TILE_PX + column])
+        least[row] = reach[row * TILE_PX]
+        for column in range(1, TILE_PX):
+            least[row] = min(least[row], reach[row * TILE_PX + column])
 
 
 @inner_per_pixel()
 def _try_face(
     rows: Float32,
     first: int,
-    last: int,
-    cx: float,
-    cy: float,
-    cz: float,
-    sine: float,
+    crossed: Int64,
+    edges: int,
     sx: Float32,
     sy: Float32,
     sz: Float32,
@@ -391,22 +482,18 @@ def _try_face(
     place: int,
 ) -> int:
     """Try a face on the rays of some rows of a tile, and return how many it wins."""
-    count, crossed = len(sx), False
-    for edge in range(first + 1, last):
-        a, b, c = rows[edge, 0], rows[edge, 1], rows[edge, 2]
-        # The whole tile is inside this edge.
-        if a * cx + b * cy + c * cz >= sine:
-            continue
-        if crossed:
+    count = len(sx)
+    for at in range(edges):
+        a, b, c = rows[crossed[at], 0], rows[crossed[at], 1], rows[crossed[at], 2]
+        if at > 0:
             for i in range(count):
                 inside[i] = min(inside[i], a * sx[i] + b * sy[i] + c * sz[i])
         else:
-            crossed = True
             for i in range(count):
                 inside[i] = a * sx[i] + b * sy[i] + c * sz[i]
     a, b, c = rows[first, 0], rows[first, 1], rows[first, 2]
     mark, won = np.int32(place), 0
-    if crossed:
+    if edges > 0:
         for i in range(count):
             w = a * sx[i] + b * sy[i] + c * sz[i]
             nearer = (inside[i] >= np.float32(0.0)) & (w > inverse[i])

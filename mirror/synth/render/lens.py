@@ -19,12 +19,13 @@ LEVELS: Final = 4
 FANOUT: Final = 4
 """A tile of one level is FANOUT tiles of the next finer level wide; the finest tiles are TILE_PX wide."""
 _MARGIN_PX: Final = 1.0
-_NO_CELLS: Final = (np.zeros(7, np.int64), np.zeros(0, np.int32), 0.0)
+_NO_CELLS: Final = (np.zeros((2, 7), np.int64), np.zeros(0, np.int32), np.zeros(2))
 _MOST_TILES: Final = 600
 """Images with more tiles have no cells: at their scale few surfaces are small beside a tile."""
 _MOST_CELLS: Final = 64
-_SMALL_TILES: Final = 3.0
-"""Surfaces up to so many times as large as a tile are looked up in the cells: they rarely hide a whole tile."""
+_SMALL_TILES: Final = (0.25, 3.0)
+"""Surfaces up to so many times as large as a tile are looked up in the cells: they rarely hide a whole tile. Most are
+of the first size, for which a cell has a fifth of the tiles of the second."""
 _MOST_SMALL: Final = 0.5
 
 
@@ -38,10 +39,11 @@ class Lens:
             of one pixel; level by level, the finest first, each in row-major order.
         levels: (LEVELS, 3) index of the first cone of a level, and its numbers of tiles down and across.
         pixel_rad: angle between neighbouring rays in the middle of the image.
-        cells: (6 S^2 + 1,) index of the first tile of each cell of directions: the cells of the S x S grids on the
-            faces +x, -x, +y, -y, +z, -z of a cube, row by row.
-        cell_tiles: tiles whose cones come within the angle of ``small`` of some direction of the cell.
-        small: sine of the half angle of the largest surface whose tiles the cells list; 0: there are no cells.
+        cells: (2, 6 S^2 + 1) for each of two sizes, index of the first tile of each cell of directions: the cells of
+            the S x S grids on the faces +x, -x, +y, -y, +z, -z of a cube, row by row.
+        cell_tiles: tiles whose cones come within the angle of a size of some direction of the cell.
+        small: (2,) sizes, the smaller first: sines of the half angles of the largest surfaces whose tiles the cells
+            list; 0: there are no cells.
     """
 
     rays: Float64
@@ -50,7 +52,7 @@ class Lens:
     pixel_rad: float
     cells: Int64
     cell_tiles: Int32
-    small: float
+    small: Float64
 
     @cached_property
     def jacobian(self) -> ImageJacobian:
@@ -109,7 +111,7 @@ def _lens_of_rays(rays: Float64, pixel_rad: float, least_rad: float, *, with_cel
     return Lens(rays, np.concatenate(cones), levels, pixel_rad, cells, cell_tiles, small)
 
 
-def make_cells(tiles: Float64) -> tuple[Int64, Int32, float]:
+def make_cells(tiles: Float64) -> tuple[Int64, Int32, Float64]:
     """List, for cells of directions, the tiles that a small surface in such a direction may touch.
 
     Args:
@@ -121,7 +123,7 @@ def make_cells(tiles: Float64) -> tuple[Int64, Int32, float]:
     if len(tiles) > _MOST_TILES or tiles[:, 3].min() < 0.5:
         return _NO_CELLS
     least = float(tiles[:, 4].min())
-    small = min(_SMALL_TILES * least, _MOST_SMALL)
+    small = np.minimum(np.array(_SMALL_TILES) * least, _MOST_SMALL)
     side = min(int(2.0 / least) + 1, _MOST_CELLS)
     edges = np.linspace(-1.0, 1.0, side + 1)
     middle = 0.5 * (edges[:-1] + edges[1:])
@@ -135,10 +137,14 @@ def make_cells(tiles: Float64) -> tuple[Int64, Int32, float]:
         axes.append((grid / np.linalg.norm(grid, axis=2, keepdims=True)).reshape(-1, 3))
     # No direction of a cell is farther from its middle than its corners, at most this far on the plane of its face.
     half = 1.5 / side
-    reach = half + arrays.arcsin(tiles[:, 4]) + scalars.asin(small)
-    touches = np.einsum("ci,ti->ct", np.concatenate(axes), tiles[:, :3]) >= arrays.cos(reach)
-    begins = np.concatenate([[0], np.cumsum(touches.sum(axis=1))]).astype(np.int64)
-    return begins, np.nonzero(touches)[1].astype(np.int32), small
+    between = np.einsum("ci,ti->ct", np.concatenate(axes), tiles[:, :3])
+    begins, listed, total = np.zeros((2, 6 * side * side + 1), np.int64), [], 0
+    for size, sine in enumerate(small):
+        touches = between >= arrays.cos(half + arrays.arcsin(tiles[:, 4]) + scalars.asin(float(sine)))
+        begins[size] = total + np.concatenate([[0], np.cumsum(touches.sum(axis=1))])
+        listed.append(np.nonzero(touches)[1].astype(np.int32))
+        total += len(listed[-1])
+    return begins, np.concatenate(listed), small
 
 
 def _cones(rays: Float64, side: int, margin_rad: float) -> Float64:

@@ -95,9 +95,13 @@ class RasterizedView:
         return arrays.matmul(self.normal, self.rotation).astype(np.float32)
 
     def _of_surfaces(self, name: str, sky: int) -> Int64:
-        values = np.concatenate([self.scene.faces[name], self.scene.rounds[name], [sky]])
-        surface_values: Int64 = values[self.surface]
-        return surface_values
+        values = np.full(self.surface.shape, sky, np.int64)
+        number = len(self.scene.faces)
+        # Records are read where a pixel shows them: all of a street are 10 MB.
+        is_face, is_round = (self.surface != SKY) & (self.surface < number), self.surface >= number
+        values[is_face] = self.scene.faces[name][self.surface[is_face]]
+        values[is_round] = self.scene.rounds[name][self.surface[is_round] - number]
+        return values
 
     @property
     def label(self) -> UInt8:

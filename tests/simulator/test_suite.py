@@ -157,11 +157,14 @@ def test_a_drive_that_the_policy_ends_has_the_score_0(
 
 
 def test_a_policy_that_fails_at_once_begins_no_drive(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert simulate(folder, "Fails", tmp_path / "runs") == ExitCode.COULD_NOT_RUN
     assert "lost at once" in capsys.readouterr().err
     assert list(files(tmp_path / "runs")) == ["suite.json"]
+    # The mended command may name the same folder.
+    assert simulate(folder, "Straight", tmp_path / "runs") == ExitCode.DONE
+    assert files(tmp_path / "runs") == files(driven)
 
 
 def test_a_drive_whose_process_ends_is_driven_again(

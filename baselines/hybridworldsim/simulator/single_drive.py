@@ -20,7 +20,7 @@ from mirror.schema.rollout import SCENARIO_FILE
 from mirror.schema.scenario import Scenario, read_scenario, scenario_file
 
 if TYPE_CHECKING:
-    from hybridworldsim.simulator.command import Arguments
+    from hybridworldsim.simulator.arguments import Arguments
     from hybridworldsim.simulator.ego.vehicle import Controls
     from hybridworldsim.simulator.policies.protocol import Policy
     from hybridworldsim.simulator.renderers.generated import DriveGenerator

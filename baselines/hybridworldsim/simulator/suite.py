@@ -135,7 +135,8 @@ def _open_folder(run: SuiteRun, out: Path) -> None:
         # What a killed command left.
         remove_temporaries(out)
     file = out / SUITE_FILE
-    if not file.is_file():
+    # A command that was refused in the preflight leaves its document and no drive: the mended one replaces it.
+    if not file.is_file() or not any(path.is_dir() for path in out.iterdir()):
         write_json(file, run)
         return
     earlier = read_json(file, SuiteRun)

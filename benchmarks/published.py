@@ -113,11 +113,25 @@ def read_annotation() -> list[Row]:
     return rows
 
 
+def read_suite_policies() -> list[Row]:
+    """Return a row for each policy, best first: the table of the study's README, which its benchmark prints."""
+    text = (STUDIES / "suite_policies" / "README.md").read_text()
+    interval, share = r"([\d.]+) \(([\d.]+) to ([\d.]+)\)", r"([\d.]+)"
+    cells = rf"\| (\d+) \((\d+)-(\d+)\) \| `(\w+)` \| {interval} \| {share} \| {share} \| {share} \|"
+    rows: list[Row] = []
+    for rank, low, high, policy, *figures in re.findall(rf"^{cells}$", text, re.M):
+        names = ("epdms", "epdms_low", "epdms_high", "collisions", "off_road", "progress")
+        row: dict[str, str | int | float] = {"policy": policy, "rank": int(rank), "rank_low": int(low)}
+        rows.append(row | {"rank_high": int(high)} | dict(zip(names, map(float, figures), strict=True)))
+    return rows
+
+
 _TABLES: Final[dict[str, Callable[[], list[Row]]]] = {
     "annotation": read_annotation,
     "closed_loop": read_closed_loop,
     "generation": read_generation,
     "static_reconstruction": read_static_reconstruction,
+    "suite_policies": read_suite_policies,
 }
 
 
@@ -166,29 +180,53 @@ def draw_annotation() -> Figure:
         ground = next(float(row[f"ap_{metres}m"]) for row in rows if row["run"] == "ground")
         axes.axhline(ground, color=line.get_color(), linewidth=0.8, linestyle="--")
     axes.set(xlabel="core-minutes of training", ylabel="average precision of cars", xlim=(0, 13), ylim=(0, 1))
-    axes.legend(fontsize=9, title="dashed: exact rectangles on the ground", title_fontsize=9)
+    title = "dashed: exact rectangles on the ground"
+    figure.legend(loc="outside upper center", ncols=3, fontsize=9, title=title, title_fontsize=9, frameon=False)
     axes.grid(alpha=0.3)
     return figure
 
 
 def draw_suite_policies() -> Figure:
-    """Draw the scores and intervals of the table in the study's README."""
-    text = (STUDIES / "suite_policies" / "README.md").read_text()
-    pattern = r"^\| [^|]* \| `(\w+)` \| ([\d.]+) \(([\d.]+) to ([\d.]+)\)"
-    rows = [(name, *map(float, found)) for name, *found in re.findall(pattern, text, re.M)][::-1]
+    """Draw the score of each policy with its interval, best first."""
+    rows = read_suite_policies()
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    for place, (_, score, low, high) in enumerate(rows):
-        axes.plot((low, high), (place, place), color="tab:blue", linewidth=2, alpha=0.6)
-        axes.plot(score, place, "o", color="tab:blue")
-    axes.set(xlabel="EPDMS, 95 % interval", xlim=(0, 1), yticks=range(len(rows)), yticklabels=[row[0] for row in rows])
-    axes.grid(alpha=0.3, axis="x")
+    for place, row in enumerate(rows):
+        axes.plot((row["epdms_low"], row["epdms_high"]), (place, place), color="tab:blue", linewidth=2, alpha=0.6)
+        axes.plot(row["epdms"], place, "o", color="tab:blue")
+    axes.set(xlabel="EPDMS, 95 % interval", xlim=(0, 1))
+    _name_policies(axes, rows)
     return figure
+
+
+def draw_suite_endings() -> Figure:
+    """Draw what makes the scores: shares of drives with a collision and off the road, and the mean progress."""
+    rows = read_suite_policies()
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    places = range(len(rows))
+    for offset, name, label, colour in (
+        (-0.2, "collisions", "collision", "tab:red"), (0.2, "off_road", "off the road", "tab:orange")
+    ):  # fmt: skip
+        left.barh([place + offset for place in places], [row[name] for row in rows], 0.38, label=label, color=colour)
+    left.set(xlabel="share of drives", xlim=(0, 1))
+    left.legend(fontsize=9, loc="upper right")
+    right.barh(places, [row["progress"] for row in rows], 0.6, color="tab:blue")
+    right.set(xlabel="mean progress, share of the possible", xlim=(0, 1))
+    for axes in (left, right):
+        _name_policies(axes, rows)
+    return figure
+
+
+def _name_policies(axes: Any, rows: Sequence[Row]) -> None:
+    axes.set(yticks=range(len(rows)), yticklabels=[row["policy"] for row in rows], ylim=(len(rows) - 0.4, -0.6))
+    axes.grid(alpha=0.3, axis="x")
 
 
 _PLOTS: Final[dict[str, Callable[[], Figure]]] = {
     "annotation/budgets.png": draw_annotation,
     "closed_loop/scores.png": draw_closed_loop,
+    "suite_policies/endings.png": draw_suite_endings,
     "suite_policies/scores.png": draw_suite_policies,
 }
 

@@ -82,7 +82,7 @@ def describe_figures(file: Path) -> str:
     rows = list(csv.reader(file.open(newline="")))
     name = file.parent.name
     lines = [
-        f"# Figures by seed: {name.replace('_', ' ')}",
+        f"# Figures as CSV: {name.replace('_', ' ')}",
         "",
         f"This page is the file benchmarks/studies/{name}/{file.name}, for those who compute with the figures of",
         "[the study](README.md).",

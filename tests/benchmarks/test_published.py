@@ -36,5 +36,16 @@ def test_means_by_seed_are_those_of_the_reports() -> None:
     assert read("generation")[1]["iou"] == f"{first:.6g}"
 
 
+def test_figures_of_the_suite_are_those_of_its_table() -> None:
+    rows = list(csv.DictReader((STUDIES / "suite_policies" / "seeds.csv").open()))
+    table = (STUDIES / "suite_policies" / "README.md").read_text()
+    assert len(rows) == table.count("| `") == 12
+    for row in rows:
+        score, low, high = (float(row[name]) for name in ("epdms", "epdms_low", "epdms_high"))
+        figures = [float(row[name]) for name in ("collisions", "off_road", "progress")]
+        ends = " | ".join(f"{value:.2f}" for value in figures)
+        assert f"| `{row['policy']}` | {score:.3f} ({low:.3f} to {high:.3f}) | {ends} |" in table
+
+
 def test_a_comma_in_a_cell_is_quoted() -> None:
     assert format_csv([{"a": "x,y", "b": 1 / 3}]) == 'a,b\n"x,y",0.333333\n'

@@ -7,6 +7,7 @@ import pytest
 
 from mirror.cli.verbs import all_commands
 from mirror.export.run import LAYOUTS
+from mirror.schema.documents import NovelTraversal, Roi
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
@@ -108,7 +109,11 @@ def test_a_study_says_in_600_words_what_was_asked_found_and_where_it_loses(study
 
 @pytest.mark.parametrize(
     "page",
-    [page for page in (*PAGES, *(ROOT / "benchmarks" / "studies").glob("*/README.md")) if "![" in page.read_text()],
+    [
+        page
+        for page in (ROOT / "README.md", *PAGES, *(ROOT / "benchmarks" / "studies").glob("*/README.md"))
+        if "![" in page.read_text()
+    ],
     ids=name_page,
 )
 def test_an_image_has_a_caption(page: Path) -> None:
@@ -152,6 +157,13 @@ def test_figures_of_the_readme_are_those_of_the_pages() -> None:
             assert round(values[0], 1) == float(psnr)
             checked += 1
     assert checked >= 8
+
+
+def test_counts_of_the_readme_are_those_of_the_code() -> None:
+    readme = (ROOT / "README.md").read_text()
+    split = NovelTraversal()
+    assert f"# {split.train} traversals of each scene train, {split.held_out} is held out" in readme
+    assert f"a circle of {Roi.model_fields['radius_m'].default:g} m" in readme
 
 
 def test_export_formats_of_the_readme_exist() -> None:

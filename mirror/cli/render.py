@@ -154,7 +154,9 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
         more = format_file_option(arguments.protocol)
         more += " --hidden FOLDER" if load_scorer(protocol.task).hidden_use(submission.plan) != "unused" else ""
         print(f"{count} renders by {submission.method}: {arguments.out}")
-        print(f"next: mirror evaluate {arguments.dataset} {arguments.out}{more}")
+        # A published dataset lacks the images that are scored.
+        verb = "submission check" if dataset.where(withheld=True).count("images") else "evaluate"
+        print(f"next: mirror {verb} {arguments.dataset} {arguments.out}{more}")
     return ExitCode.DONE
 
 

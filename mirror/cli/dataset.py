@@ -1,4 +1,4 @@
-"""``mirror dataset publish|migrate|gc DATASET``, ``mirror dataset fetch URL``, ``mirror dataset audit PUBLISHED``."""
+"""``mirror dataset publish|migrate|gc|take-down DATASET``, ``... fetch URL``, ``... audit PUBLISHED``."""
 
 from __future__ import annotations
 
@@ -165,6 +165,7 @@ def main(argv: Sequence[str]) -> int:
         "fetch": Subcommand("fetch a bundle and verify it", _fetch),
         "migrate": Subcommand("bring a dataset of an earlier version up to date", _migrate),
         "gc": Subcommand("remove old snapshots, and what nothing names", _gc),
+        "take-down": Subcommand("remove images from a dataset and its publications", _take_down),
         "audit": Subcommand("hold what is published against its dataset", _audit),
     }
     return run_subcommand(argv, "mirror dataset", subcommands)
@@ -254,6 +255,12 @@ def _gc(argv: Sequence[str]) -> int:
     verb = "would be removed" if arguments.dry_run else "removed"
     print(f"{arguments.dataset}: {counts}, {report.bytes / 1e6:,.1f} MB {verb}")
     return ExitCode.DONE
+
+
+def _take_down(argv: Sequence[str]) -> int:
+    from mirror.cli.take_down import main as run
+
+    return run(argv)
 
 
 def _page(url: str | None) -> str | None:

@@ -26,7 +26,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "stats": ("data", "print the dataset-table row and distributions, draw plots"),
     "sql": ("data", "query the tables of a dataset with SQL"),
     "check": ("data", "check a dataset against the integrity rules"),
-    "dataset": ("data", "publish a dataset without held-out images, or fetch a published one"),
+    "dataset": ("data", "publish a dataset without held-out images, fetch a published one, or take images down"),
     "report": ("data", "write an HTML report of a dataset"),
     "export": ("data", "write a scene for COLMAP, nerfstudio, gsplat, nuScenes or KITTI"),
     "plot": ("data", "draw figures of a dataset for print: map, coverage, conditions, cameras, privacy"),

@@ -10,6 +10,7 @@ from mirror.dataset.index.inputs import read_inputs
 from mirror.dataset.index.snapshots import list_snapshots, read_snapshot, read_state
 from mirror.dataset.layout import not_a_dataset_error
 from mirror.dataset.store import Store
+from mirror.dataset.taken_down import require_all_rows
 from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.schema.documents import DatasetDocument
 from mirror.schema.files import parse_json
@@ -44,7 +45,8 @@ def open_snapshot(store: Store, at: int | None = None) -> tuple[Store, int, Inde
         equal datasets whose index is compact.
 
     Raises:
-        DatasetError: the dataset has no index or no such snapshot, or files of its rows have been replaced since.
+        DatasetError: the dataset has no index or no such snapshot, or files of its rows have been replaced
+            since, or an image of its rows was taken down.
         SchemaError: the snapshot is invalid.
     """
     numbers = list_snapshots(store)
@@ -68,6 +70,8 @@ def open_snapshot(store: Store, at: int | None = None) -> tuple[Store, int, Inde
                 expected=f"a number from {oldest} to {numbers[-1]}", remedy="choose another number, or open the newest",
             )  # fmt: skip
     snapshot = read_snapshot(held, number)
+    if number < numbers[-1]:
+        require_all_rows(store, number, snapshot.drives)
     return held, number, snapshot, hash_snapshot(snapshot)
 
 

@@ -23,6 +23,8 @@ from mirror.dataset.index.build import build_index
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.split_document import read_split
+from mirror.dataset.store import Store
+from mirror.dataset.taken_down import encode_public_take_downs, read_take_downs
 from mirror.errors import DatasetError, UsageError
 from mirror.export.croissant import Publication, write_croissant
 from mirror.export.datasheet import write_datasheet
@@ -36,6 +38,7 @@ from mirror.schema.documents import FileEntry, SplitDocument
 from mirror.schema.files import remove_temporaries, sha256_bytes, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.links import require_inside
+from mirror.schema.take_downs import TAKE_DOWNS
 
 LICENCE: Final = "LICENSE"
 DATASHEET: Final = "README.md"
@@ -167,15 +170,15 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
     )
     published = sorted({one.name for one in departure.shown.values()})
     text = write_croissant(dataset, bundle, published, name=options.name, publication=options.publication)
-    bundle = _add_file(out, bundle, CROISSANT, text)
+    bundle = add_file(out, bundle, CROISSANT, text)
     text = write_datasheet(dataset, bundle, name=options.name, contact=options.contact, images=published)
-    bundle = _add_file(out, bundle, DATASHEET, text)
+    bundle = add_file(out, bundle, DATASHEET, text)
     write_json(out / BUNDLE, bundle)
     (out / PUBLISHING).unlink()
     return PublishReport(bundle, (), inspection.same_bytes, as_recorded, altered)
 
 
-def _add_file(out: Path, bundle: Bundle, name: str, text: str) -> Bundle:
+def add_file(out: Path, bundle: Bundle, name: str, text: str) -> Bundle:
     """Write a file that describes a bundle; returns the bundle with it."""
     data = text.encode()
     write_bytes(out / name, data)
@@ -209,6 +212,10 @@ def _copy(layout: Layout, out: Path, departure: Departure, progress: ProgressRep
             mask = rewrite_mask(_read_mask(source), source)
             write_bytes(require_inside(out, name), mask)
             return sha256_bytes(mask)
+        if name == TAKE_DOWNS:
+            data = encode_public_take_downs(read_take_downs(Store(layout.root)))
+            write_bytes(require_inside(out, name), data)
+            return sha256_bytes(data)
         place_file(layout.root, name, out)
         stated = None if name in images else departure.files[name]
         return stated or hash_file(require_inside(layout.root, name))

@@ -18,6 +18,7 @@ from mirror.dataset.recorded_map import MAP_FILE
 from mirror.dataset.splits.candidates import Candidate, Candidates
 from mirror.dataset.splits.leaks import Tie, find_ties
 from mirror.dataset.store import Store
+from mirror.dataset.taken_down import CameraStamp, group_by_traversal, read_take_downs
 from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.integrity.rows import TablePart, TableRows
@@ -29,6 +30,7 @@ from mirror.schema.index_tables import ROW_GROUPS
 from mirror.schema.road_map import RoadMap, read_road_map, require_map_of
 from mirror.schema.snapshot import snapshot_path
 from mirror.schema.tables import PASSES, Table
+from mirror.schema.take_downs import TAKE_DOWNS
 
 TRAVERSAL_KEY = "traversal:"
 
@@ -151,6 +153,15 @@ class DatasetView:
         """The document of a published dataset; None for other datasets, and if the document is broken."""
         file = self.layout.root / BUNDLE
         return self._read(file, Bundle) if file.is_file() else None
+
+    @cached_property
+    def taken_down(self) -> Mapping[str, frozenset[CameraStamp]]:
+        """Images that were taken down, by traversal; none where their list is broken, which is kept as a problem."""
+        try:
+            return group_by_traversal(read_take_downs(self.store))
+        except SchemaError as error:
+            self.problems[TAKE_DOWNS] = error
+            return {}
 
     @cached_property
     def withheld(self) -> frozenset[str]:

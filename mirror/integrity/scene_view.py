@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from mirror.arrays import Bool, Int64
+from mirror.dataset.taken_down import drop_images
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera, camera_from_row
 from mirror.integrity.dataset_view import DatasetView, TraversalView
@@ -76,8 +77,8 @@ class SceneView:
 
     @cached_property
     def all_images(self) -> TableRows:
-        """Recorded and redacted images."""
-        return self._with_layers(self.images, "redaction")
+        """Recorded and redacted images, without those that were taken down: their bytes may be gone."""
+        return self.without_taken_down(self._with_layers(self.images, "redaction"))
 
     @cached_property
     def all_calibrations(self) -> TableRows:
@@ -205,6 +206,14 @@ class SceneView:
     def exit_ns(self) -> Int64:
         """(T,) times of the traversals' exits; the largest int64 where the ledger has none."""
         return self._passed("exit_ns", np.iinfo(np.int64).max)
+
+    def without_taken_down(self, rows: TableRows) -> TableRows:
+        """Return the rows of a table of images, masks or depth maps without those of images that were taken down."""
+        gone = [self.dataset.taken_down.get(item.traversal_id, frozenset()) for item in self.traversals]
+        if not any(gone):
+            return rows
+        parts = [(file, number, drop_images(data, gone[number])) for file, number, data in rows.parts]
+        return TableRows(rows.table, parts)
 
     def _passed(self, name: str, default: int) -> Int64:
         values = [default if item.ledger_row is None else item.ledger_row[name] for item in self.traversals]

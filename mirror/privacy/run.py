@@ -22,6 +22,7 @@ from mirror.dataset.images.shards import is_shard
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.layout import Layout, require_dataset
+from mirror.dataset.taken_down import drop_images, group_by_traversal, read_take_downs
 from mirror.dataset.unfinished_work import DEIDENTIFICATION, remove_work, work_folder
 from mirror.dataset.writing import writing_layers
 from mirror.errors import ExitCode, MirrorError
@@ -329,7 +330,8 @@ def _named(traversal_id: str, failures: Mapping[ImageKey, Failure]) -> list[Imag
 
 
 def _tasks(layout: Layout, dataset: Dataset, traversal_id: str, options: DeidentifyOptions) -> list[DetectionTask]:
-    rows = read_table(layout.recorded(traversal_id) / "images.parquet", IMAGES).to_pylist()
+    gone = group_by_traversal(read_take_downs(dataset.store)).get(traversal_id, frozenset())
+    rows = drop_images(read_table(layout.recorded(traversal_id) / "images.parquet", IMAGES), gone).to_pylist()
     ego, sky = _ego_masks(layout, dataset, traversal_id), _sky_masks(layout, traversal_id)
     objects = visible_objects(dataset, traversal_id) if options.skip.without_boxes else {}
     tasks = []

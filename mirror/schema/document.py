@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import pyarrow as pa
 from pydantic import BaseModel
 
-from mirror.schema import behaviours, documents, rollout, scenario, snapshot
+from mirror.schema import behaviours, documents, rollout, scenario, snapshot, take_downs
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.page_file import write_page
 from mirror.schema.road_map import RoadMapHeader
@@ -38,6 +38,8 @@ _DOCUMENTS: Sequence[type[BaseModel]] = (
     snapshot.IndexSegment,
     snapshot.SegmentSources,
     snapshot.DriveSource,
+    take_downs.TakeDowns,
+    take_downs.TakenDownImage,
 )
 
 _SCENARIO: Sequence[type[BaseModel]] = (

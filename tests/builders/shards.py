@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import pyarrow as pa
+
 from mirror.dataset.images.shards import SHARD_BYTES, pack_images
 from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest, seal
@@ -17,6 +21,20 @@ def put_into_shards(layout: Layout, limit_bytes: int = SHARD_BYTES) -> None:
         layout: the dataset.
         limit_bytes: size beyond which a frame begins the next shard.
     """
+
+    def pack(images: pa.Table, folder: str) -> pa.Table:
+        return pack_images(images, layout.root, folder, limit_bytes=limit_bytes)
+
+    rewrite_images(layout, pack)
+
+
+def rewrite_images(layout: Layout, change: Callable[[pa.Table, str], pa.Table]) -> None:
+    """Give every traversal another table of recorded images, and derive the index again.
+
+    Args:
+        layout: the dataset.
+        change: called with a table and the folder of its traversal's recording, relative to the dataset.
+    """
     for drive_id in layout.drive_ids():
         drive = layout.drive(drive_id)
         manifest = read_manifest(drive)
@@ -29,7 +47,7 @@ def put_into_shards(layout: Layout, limit_bytes: int = SHARD_BYTES) -> None:
             folder = layout.recorded(traversal_id)
             place = folder.relative_to(layout.root).as_posix()
             rows = read_table(folder / "images.parquet", IMAGES)
-            packed = pack_images(rows, layout.root, place, limit_bytes=limit_bytes)
+            packed = change(rows, place)
             write_bytes(folder / "images.parquet", encode_table(packed, IMAGES))
             old = read_manifest(folder)
             assert old is not None

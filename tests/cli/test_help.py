@@ -25,6 +25,7 @@ DATASET_FIRST = (
     "dataset gc",
     "dataset migrate",
     "dataset publish",
+    "dataset take-down",
     "deidentify",
     "depth",
     "evaluate",
@@ -74,7 +75,7 @@ def all_command_names() -> list[str]:
     """Every verb; of a verb with subcommands, these."""
     names = []
     for verb in all_commands():
-        subcommands = re.match(rf"usage: mirror {verb} ([a-z]+(?:\|[a-z]+)*) \[options\]", printed_help(verb))
+        subcommands = re.match(rf"usage: mirror {verb} ([a-z-]+(?:\|[a-z-]+)*) \[options\]", printed_help(verb))
         names += [f"{verb} {name}" for name in subcommands[1].split("|")] if subcommands else [verb]
     return names
 

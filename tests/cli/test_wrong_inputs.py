@@ -141,6 +141,12 @@ dataset publish {d} --split novel --out nope://x
 dataset fetch missing --out a
 dataset fetch empty --out a => empty: not a published dataset
 dataset fetch nope://x --out a
+dataset take-down {d} => no image is named
+dataset take-down {d} --image rear/5 => expected TRAVERSAL/CAMERA/TIMESTAMP_NS
+dataset take-down {d} --image t.d.1/rear/5 => there is no image t.d.1/rear/5
+dataset take-down {d} --list missing => missing
+dataset take-down {d} --image t.d.1/rear/5 --publication {d} => not a published dataset
+dataset take-down missing --image t.d.1/rear/5 => the folder does not exist
 dataset audit missing --against {d}
 dataset audit empty --against {d} => the folder is empty
 report missing => missing:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow as pa
 
 import mirror
 from mirror.dataset.dataset import Dataset
@@ -17,6 +18,7 @@ from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
 from mirror.dataset.splits import make_split
+from mirror.dataset.store import Store
 from mirror.export.publish import PublishOptions, PublishReport, publish
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.rois import read_rois
@@ -62,22 +64,29 @@ def copied(dataset: Dataset, root: Path) -> Path:
 
 
 def redact(
-    root: Path, traversals: Sequence[str] | None = None, *, version: str = "1", without: frozenset[int] = frozenset()
+    root: Path,
+    traversals: Sequence[str] | None = None,
+    *,
+    version: str = "1",
+    without: frozenset[int] = frozenset(),
+    shards: bool = False,
 ) -> None:
     """Write a redaction layer: a black corner in every image but those of some times."""
-    layout = Layout(root)
+    layout, store = Layout(root), Store(root)
     for traversal_id in traversals or sorted(path.name for path in (root / "traversals").iterdir()):
         writer = LayerWriter(layout, traversal_id, "redaction", "corner", version)
         rows = []
         for row in read_table(layout.recorded(traversal_id) / "images.parquet", IMAGES).to_pylist():
             if row["timestamp_ns"] in without:
                 continue
-            pixels = cv2.imdecode(np.fromfile(root / row["uri"], np.uint8), cv2.IMREAD_COLOR)
+            recorded = store.read_range(row["uri"], row["byte_offset"], row["byte_length"])
+            pixels = cv2.imdecode(np.frombuffer(recorded, np.uint8), cv2.IMREAD_COLOR)
             pixels[: 8 + 4 * int(version), :16] = 0
             data = cv2.imencode(".jpg", pixels)[1].tobytes()
             file = writer.file(f"{row['camera']}/{row['timestamp_ns']}.jpg", data)
-            rows.append({**row, **file, "codec": "jpeg", "privacy": "redacted"})
-        writer.finish(IMAGES, rows, {})
+            rows.append({**row, **file, "byte_offset": 0, "codec": "jpeg", "privacy": "redacted"})
+        table = pa.Table.from_pylist(rows, schema=IMAGES.schema)
+        writer.finish(IMAGES, writer.pack(table) if shards else table, {})
     build_index(root)
 
 

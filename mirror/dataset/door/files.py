@@ -9,11 +9,14 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from mirror.dataset.layout import MANIFEST, Layout, read_manifest
 from mirror.dataset.redaction import REDACTION, newest_redaction
+from mirror.dataset.store import Store
+from mirror.dataset.taken_down import read_take_downs
 from mirror.errors import DatasetError
 from mirror.schema.documents import DriveDocument, Manifest, Rig, SplitDocument
 from mirror.schema.files import read_json, read_table
 from mirror.schema.links import require_inside
 from mirror.schema.tables import IMAGES, LAYER_TABLES, Table
+from mirror.schema.take_downs import TAKE_DOWNS
 
 ImageKey: TypeAlias = tuple[str, str, int]
 """Identifies an image, whatever file shows it: traversal, camera, timestamp_ns."""
@@ -24,7 +27,7 @@ RECORDED: Final = "recorded"
 RELEASE_DOCUMENTS: Final = ("release.json", "DATASHEET.md", "LICENCE.txt", "redaction_log.jsonl")
 """Documents, datasheet, licence and log of a release, which is a dataset too."""
 
-_DOCUMENTS: Final = ("dataset.json", "rois.geojson", *RELEASE_DOCUMENTS)
+_DOCUMENTS: Final = ("dataset.json", "rois.geojson", TAKE_DOWNS, *RELEASE_DOCUMENTS)
 _TABLE_FILES: Final = (".parquet", ".json", ".jsonl")
 """Endings of what a manifest may name; images are named by tables, which say what they show."""
 
@@ -67,6 +70,8 @@ class DatasetFiles:
         masks: masks of images, by layer, with their SHA-256.
         images: files that show images, of the recording and of every layer.
         layers: layers of each traversal, as ``kind/source@version``.
+        taken_down: images that were taken down, with the SHA-256 of the bytes that showed them. `images` has the files
+            that still hold such bytes.
     """
 
     documents: dict[str, str | None] = field(default_factory=dict)
@@ -74,6 +79,7 @@ class DatasetFiles:
     masks: dict[str, str] = field(default_factory=dict)
     images: list[ImageFile] = field(default_factory=list)
     layers: dict[str, list[str]] = field(default_factory=dict)
+    taken_down: dict[ImageKey, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def names(self) -> frozenset[str]:
@@ -90,6 +96,8 @@ def list_dataset_files(layout: Layout) -> DatasetFiles:
         SchemaError: a document or table is broken.
     """
     found = DatasetFiles()
+    store = Store(layout.root)
+    found.taken_down = {one.key: one.sha256 for one in read_take_downs(store).images}
     for name in _DOCUMENTS:
         if require_inside(layout.root, name).is_file():
             found.documents[name] = None
@@ -109,7 +117,18 @@ def list_dataset_files(layout: Layout) -> DatasetFiles:
             found.documents[f"splits/{name}.json"] = None
     for path in sorted((layout.root / "maps").glob(f"*/{MANIFEST}")):
         _add_folder(layout, f"maps/{path.parent.name}", found)
+    found.images = [one for one in found.images if one.key not in found.taken_down or _has_bytes(store, one)]
     return found
+
+
+def _has_bytes(store: Store, one: ImageFile) -> bool:
+    """Return whether a file still holds an image: what was purged is missing, or zeros in an archive."""
+    if _is_elsewhere(one.name):
+        return True
+    try:
+        return any(store.read_range(one.name, one.offset, one.length))
+    except FileNotFoundError:
+        return False
 
 
 def _add_traversal(layout: Layout, traversal_id: str, found: DatasetFiles) -> None:

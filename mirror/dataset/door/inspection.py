@@ -138,7 +138,12 @@ class _Door:
         """Find what is wrong with a file, and the images in it that have the bytes of others."""
         if self._stated.get(name, sha256) != sha256:
             yield Leak(name, "other bytes than its source has, or than its table or manifest states")
+            taken_down = Why.TAKEN_DOWN.value
+            yield from (one for one in self._held(name, data, sha256) if isinstance(one, Leak) and taken_down in one[1])
             return
+        yield from self._held(name, data, sha256)
+
+    def _held(self, name: str, data: bytes, sha256: str) -> Iterator[Leak | SameBytes]:
         yield from self._known(name, "", sha256)
         if sha256 in self._secrets.bytes or self._is_one_image(name):
             return

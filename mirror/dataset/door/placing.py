@@ -12,6 +12,7 @@ from mirror.dataset.layout import MANIFEST, Layout
 from mirror.errors import DatasetError
 from mirror.schema.files import TEMPORARY, sha256_bytes, unwritable_error
 from mirror.schema.links import require_inside
+from mirror.schema.take_downs import TAKE_DOWNS
 
 _LINKED: Final = (".jpg", ".jpeg", ".png")
 """Endings of files that are never opened for writing, so that a hard link suffices."""
@@ -77,7 +78,7 @@ def hash_file(path: Path) -> str:
 
 def dataset_state(layout: Layout) -> dict[str, str]:
     """Return the SHA-256 of every document and manifest of a dataset, except its index, by path."""
-    paths = [layout.document, layout.rois]
+    paths = [layout.document, layout.rois, layout.root / TAKE_DOWNS]
     for pattern in (
         f"drives/*/{MANIFEST}",
         f"traversals/*/recorded/{MANIFEST}",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import PurePosixPath
@@ -22,6 +22,7 @@ class Why(Enum):
     WITHHELD = "a withheld image"
     UNREDACTED = "a recorded image without a redacted version"
     ORIGINAL = "the original of a redacted image"
+    TAKEN_DOWN = "an image that was taken down"
 
 
 class KeptFile(NamedTuple):
@@ -76,6 +77,10 @@ def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool])
     withheld = set()
     for key, original in recorded.items():
         current = redacted.get(key, original)
+        if key in files.taken_down:
+            # The index does not show it: nobody looks for its file.
+            why[key] = Why.TAKEN_DOWN
+            continue
         if is_withheld(key):
             why[key] = Why.WITHHELD
         elif newest[key[0]] is not None and key not in redacted:
@@ -84,7 +89,8 @@ def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool])
             withheld.add(current.name)
         else:
             shown[key] = current
-    kept = []
+    kept = [KeptFile(one, Why.TAKEN_DOWN) for one in _purged(files)]
+    why |= dict.fromkeys(files.taken_down, Why.TAKEN_DOWN)
     for one in files.images:
         if one.key in why or one.key not in shown:
             kept.append(KeptFile(one, why.get(one.key, Why.WITHHELD)))
@@ -99,6 +105,13 @@ def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool])
         if name in staying:
             raise _shared_error(staying[name])
     return Departure(leaving, shown, tuple(kept), tuple(sorted(withheld)), frozenset(files.static_masks))
+
+
+def _purged(files: DatasetFiles) -> Iterator[ImageFile]:
+    """Images that were taken down, known by hashes alone: their bytes may be purged here, and be elsewhere still."""
+    for key, hashes in files.taken_down.items():
+        for sha256 in hashes:
+            yield ImageFile(key, "taken down", "", 0, 0, "jpeg", None, sha256, (0, 0))
 
 
 def _leaves(name: str, newest: Mapping[str, str | None]) -> bool:
@@ -118,29 +131,34 @@ def _stated(images: Iterable[ImageFile]) -> dict[str, str | None]:
 
 
 def require_own_files(departure: Departure) -> None:
-    """Require that all images of the index, leaving or staying, lie in the dataset's folder.
+    """Require that all images that tables name, leaving or staying, lie in the dataset's folder.
+
+    The tables leave as they are, and the addresses of a fleet's own store are not for everybody.
 
     Raises:
         DatasetError: an image lies elsewhere.
     """
-    withheld = frozenset(departure.withheld)
-    for one in (*departure.shown.values(), *(kept.file for kept in departure.kept if kept.file.name in withheld)):
+    for one in (*departure.shown.values(), *(kept.file for kept in departure.kept)):
         if "://" in one.name or one.name.startswith("/"):
             raise DatasetError(
                 f"the image {one.name} lies outside of the dataset",
                 place=_place(one),
                 expected="images in the dataset's folder",
-                remedy="ingest the recordings without references to images elsewhere",
+                remedy="ingest the recordings without references to images elsewhere; of a de-identified dataset,"
+                " `mirror release build` writes tables without them",
             )
 
 
 def _shared_error(kept: KeptFile) -> DatasetError:
+    taken_down = kept.why is Why.TAKEN_DOWN
     return DatasetError(
         f"it would leave, and it shows {kept.why.value}",
         file=kept.file.name,
         place=_place(kept.file),
         expected="files that hold only images that leave, or only images that stay",
-        remedy="ingest the recordings as one file an image: --images jpeg",
+        remedy="`mirror dataset take-down` of the image with --purge-originals"
+        if taken_down
+        else "ingest the recordings as one file an image: --images jpeg",
     )
 
 

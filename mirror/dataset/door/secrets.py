@@ -51,10 +51,10 @@ class Secrets:
         for key, one in departure.shown.items():
             if one.sha256 is not None:
                 self.shown.setdefault(one.sha256, key)
-        parts: dict[tuple[str, int, int], KeptFile] = {}
+        parts: dict[tuple[str, int, int, str | None], KeptFile] = {}
         for kept in departure.kept:
             one = kept.file
-            parts.setdefault((one.name, one.offset, one.length), kept)
+            parts.setdefault((one.name, one.offset, one.length, one.sha256), kept)
             if one.codec == "video":
                 self._videos.setdefault(one.name, {})[one.pts] = kept
             else:
@@ -83,6 +83,8 @@ class Secrets:
 
     def _read(self, kept: KeptFile) -> bytes:
         """The bytes of a file; none where it is missing: its hash in the table remains."""
+        if not kept.file.length:
+            return b""
         try:
             return self._store.read_range(kept.file.name, kept.file.offset, kept.file.length)
         except FileNotFoundError:

@@ -7,6 +7,8 @@ images and their names.
 
 from __future__ import annotations
 
+import os
+import shutil
 import tarfile
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -17,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Int64
-from mirror.schema.files import unwritable_error
+from mirror.schema.files import temporary_path, unwritable_error
 
 SHARD_BYTES: Final = 64 << 20
 """Size beyond which a frame begins the next shard."""
@@ -152,6 +154,39 @@ def pack_images(images: pa.Table, root: Path, folder: str, *, limit_bytes: int =
     return images.set_column(
         names.index("byte_offset"), images.schema.field("byte_offset"), pa.array(offsets, pa.int64())
     )
+
+
+def blank_images(path: Path, ranges: Sequence[tuple[int, int]]) -> bool:
+    """Replace a file by one in which some images are zeros; the others keep their places and bytes.
+
+    An archive stays one that other programs open, and tables that name its images stay true.
+
+    Args:
+        path: the file.
+        ranges: first byte and length of each image.
+
+    Returns:
+        False: they were zeros before, and nothing was written.
+
+    Raises:
+        DatasetError: the file cannot be read or written.
+    """
+    temporary = temporary_path(path)
+    try:
+        with path.open("rb") as file:
+            if not any(any(os.pread(file.fileno(), length, offset)) for offset, length in ranges):
+                return False
+        shutil.copyfile(path, temporary)
+        with temporary.open("r+b") as file:
+            for offset, length in ranges:
+                os.pwrite(file.fileno(), bytes(length), offset)
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise unwritable_error(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return True
 
 
 def frames_in_order(images: pa.Table, rows: Sequence[int]) -> Iterator[list[int]]:

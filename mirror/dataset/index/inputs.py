@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from mirror.dataset.layout import MANIFEST, MAPS
 from mirror.dataset.store import Store
+from mirror.dataset.taken_down import CameraStamp, group_by_traversal, read_take_downs
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import DriveDocument, Manifest, Rig, Roi
 from mirror.schema.files import parse_json, sha256_bytes
@@ -22,6 +23,7 @@ from mirror.schema.strict_json import JsonError, decode_json
 # Increase this number when the same inputs give another index, so that every index is rebuilt.
 DERIVATION: Final = 1
 DATASET_KEY: Final = "dataset"
+TAKEN_DOWN_KEY: Final = "taken_down"
 _TRAVERSAL: Final = "traversal:"
 
 
@@ -36,6 +38,7 @@ class TraversalInput:
         rig: the rig of the drive; None: the drive has no cameras.
         layers: kind, source and version of its complete layers.
         recorded: manifest of the recorded folder.
+        taken_down: its images that were taken down.
         hashes: SHA-256 of the rig's file and of the manifests of the drive, the recorded folder and every layer.
     """
 
@@ -45,6 +48,7 @@ class TraversalInput:
     rig: Rig | None
     layers: tuple[tuple[str, str, str], ...]
     recorded: Manifest
+    taken_down: frozenset[CameraStamp]
     hashes: Mapping[str, str]
 
 
@@ -143,6 +147,7 @@ def read_inputs(store: Store, drives: Collection[str] | None = None) -> IndexInp
     )
     layers = _layers(store, [folder.removesuffix("/recorded") for folder in recorded])
     rigs: dict[str, tuple[Rig, str]] = {}
+    taken_down = group_by_traversal(read_take_downs(store))
     drive_hashes: dict[str, str] = {}
     for folder, (manifest, manifest_hash) in manifests.items():
         path = f"{folder}/drive.json"
@@ -185,7 +190,12 @@ def read_inputs(store: Store, drives: Collection[str] | None = None) -> IndexInp
             if rig_hash is not None:
                 hashes[f"rig:{drive.rig_id}"] = rig_hash
             hashes.update({f"layer:{kind}/{source}@{version}": value for (kind, source, version), value in own.items()})
-            traversals[traversal_id] = TraversalInput(traversal_id, scene_id, drive, rig, tuple(own), found[0], hashes)
+            gone = taken_down.get(traversal_id, frozenset())
+            if gone:
+                hashes[TAKEN_DOWN_KEY] = hash_document(sorted(gone))
+            traversals[traversal_id] = TraversalInput(
+                traversal_id, scene_id, drive, rig, tuple(own), found[0], gone, hashes
+            )
     ordered = dict(sorted(traversals.items()))
     maps = _manifests(store, [f"{MAPS}/{name}" for name in store.list_folders(MAPS) if not name.startswith(".")])
     map_hashes = {folder.removeprefix(f"{MAPS}/"): value for folder, (_, value) in sorted(maps.items())}

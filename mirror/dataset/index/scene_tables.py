@@ -17,6 +17,7 @@ from mirror.dataset.index.geoparquet import bounding_box, continuous, wkb_line
 from mirror.dataset.index.inputs import TraversalInput
 from mirror.dataset.layout import Layout
 from mirror.dataset.redaction import REDACTION, newest_redaction
+from mirror.dataset.taken_down import drop_images
 from mirror.errors import DatasetError
 from mirror.schema.files import TableWriter, read_table
 from mirror.schema.index_tables import FRAMES, INDEX_BY_SCENE, TRAVERSALS
@@ -109,14 +110,16 @@ def _traversal_tables(layout: Layout, traversal: TraversalInput) -> dict[str, pa
     poses = _sorted(read_table(recorded / "ego_poses.parquet", EGO_POSES), EGO_POSES)
     images = _redacted(layout, traversal, read_table(recorded / "images.parquet", IMAGES))
     images = _with_positions(traversal, _sorted(images, IMAGES), poses, recorded)
+    gone = traversal.taken_down
+    shown = drop_images(images, gone)
     tables = {
         "ego_poses": poses,
-        "images": images,
+        "images": shown,
         "calibrations": _sorted(read_table(recorded / "calibrations.parquet", CALIBRATIONS), CALIBRATIONS),
-        "frames": _frames(traversal, images),
+        "frames": _frames(traversal, images, shown),
         "boxes": _layer_tables(layout, traversal, "boxes", BOXES),
-        "masks": _layer_tables(layout, traversal, "masks", MASKS),
-        "depth": _layer_tables(layout, traversal, "depth", DEPTH),
+        "masks": drop_images(_layer_tables(layout, traversal, "masks", MASKS), gone),
+        "depth": drop_images(_layer_tables(layout, traversal, "depth", DEPTH), gone),
         "points": _layer_tables(layout, traversal, "points", POINTS),
     }
     return {name: _keyed(traversal, data) for name, data in tables.items()}
@@ -224,12 +227,16 @@ def _interpolate(query_ns: Int64, stamps_ns: Int64, values: Float64, *, longitud
     return (found + 180.0) % 360.0 - 180.0 if longitude and (np.abs(found) > 180.0).any() else found
 
 
-def _frames(traversal: TraversalInput, images: pa.Table) -> pa.Table:
-    """The exposures of the rig's reference camera, each with the number of images in its frame."""
+def _frames(traversal: TraversalInput, images: pa.Table, shown: pa.Table) -> pa.Table:
+    """The exposures of the rig's reference camera, each with the number of images in its frame.
+
+    A frame whose reference image was taken down keeps its number and its instant; one without images is left out.
+    """
     if traversal.rig is None or not images.num_rows:
         return FRAMES.schema.empty_table().drop_columns(["scene_id", "traversal_id"])
     framed = images.filter(pc.is_valid(images.column("frame_index")))
-    frames, counts = np.unique(framed.column("frame_index").to_numpy(), return_counts=True)
+    frames, counts = np.unique(shown.column("frame_index").drop_null().to_numpy(), return_counts=True)
+    framed = framed.filter(pc.is_in(framed.column("frame_index"), value_set=pa.array(frames, pa.int32())))
     reference = framed.filter(pc.equal(framed.column("camera").cast(pa.string()), traversal.rig.reference_camera))
     reference = reference.sort_by("frame_index")
     frame_index = reference.column("frame_index").to_numpy()

@@ -57,7 +57,8 @@ def _index_rows(view: SceneView) -> Iterator[Finding]:
     if groups is None:
         return
     own = groups.filter(pc.equal(groups.column("scene_id"), view.scene.scene_id))
-    every = (view.poses, view.images, view.calibrations, view.boxes, view.masks, view.depth, view.points)
+    shown = (view.without_taken_down(rows) for rows in (view.images, view.masks, view.depth))
+    every = (view.poses, view.calibrations, view.boxes, view.points, *shown)
     indexed = {rows.table.name: 0 for rows in every}
     for row in own.select(["table", "rows"]).to_pylist():
         if row["table"] in indexed:

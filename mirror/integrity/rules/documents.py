@@ -12,17 +12,20 @@ from mirror.integrity.finding import Cost, Finding, Severity
 from mirror.integrity.problems import report_unreadable
 from mirror.integrity.rule import dataset_rule
 from mirror.schema.documents import is_identifier
+from mirror.schema.take_downs import TAKE_DOWNS
 
 
 @dataset_rule(
     "DS001",
     Severity.ERROR,
-    title="dataset.json is broken, or of a schema version that cannot be read.",
-    remedy="restore dataset.json, or ingest into a new folder",
+    title="dataset.json or take_downs.json is broken, or of a schema version that cannot be read.",
+    remedy="restore the file; without dataset.json, ingest into a new folder",
 )
 def _dataset_document(view: DatasetView) -> Iterator[Finding]:
     if view.document is None:
         yield from report_unreadable(view.problems, lambda file: file == "dataset.json")
+    _ = view.taken_down
+    yield from report_unreadable(view.problems, lambda file: file == TAKE_DOWNS)
 
 
 @dataset_rule(

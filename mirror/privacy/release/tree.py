@@ -10,13 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.images.binary_mask import rewrite_mask
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest, seal
 from mirror.dataset.redaction import REDACTION, current_redaction, newest_redaction
 from mirror.dataset.store import Store
+from mirror.dataset.taken_down import drop_images, group_by_traversal, read_take_downs
 from mirror.errors import DatasetError
 from mirror.ingest.tables import assign_frames
 from mirror.privacy.log import LOG, ImageRecord, read_log, read_plate_region
@@ -107,7 +107,9 @@ def _write_recorded(
     advance: Callable[[int], object],
 ) -> None:
     recorded, folder = source.recorded(old), target.recorded(new)
-    rows = read_table(recorded / "images.parquet", IMAGES)
+    gone = group_by_traversal(read_take_downs(Store(source.root))).get(old, frozenset())
+    every = read_table(recorded / "images.parquet", IMAGES)
+    rows = drop_images(every, gone)
     images = rows.slice(0, 0)
     total = 0
     newest = newest_redaction(source.layers(old))
@@ -118,7 +120,7 @@ def _write_recorded(
                 expected="a layer of redacted images", remedy=f"mirror deidentify {source.root} --plate-region REGION",
             )  # fmt: skip
         layer = source.layer(old, REDACTION, *newest)
-        redacted = read_table(layer / "images.parquet", IMAGES)
+        redacted = drop_images(read_table(layer / "images.parquet", IMAGES), gone)
         records = {record.key[1:]: record for record in read_log(layer / LOG)}
         report.withheld += rows.num_rows - redacted.num_rows
         original = {(row["camera"], row["timestamp_ns"]): row for row in rows.to_pylist()}
@@ -138,7 +140,7 @@ def _write_recorded(
             total += len(data)
             advance(1)
         images = _table(out_rows, IMAGES)
-        if images.num_rows < rows.num_rows:
+        if images.num_rows < every.num_rows:
             images = renumber_frames(images, rig)
     files: dict[str, bytes] = {}
     poses = read_table(recorded / "ego_poses.parquet", EGO_POSES)
@@ -310,10 +312,3 @@ def renumber_frames(images: pa.Table, rig: Rig | None) -> pa.Table:
 def read_rig(layout: Layout, drive: DriveDocument) -> Rig | None:
     """Return the rig of a drive; None if it has no cameras."""
     return None if drive.rig_id is None else read_json(layout.rig(drive.rig_id), Rig)
-
-
-def drop_images(data: pa.Table, keys: frozenset[tuple[str, int]]) -> pa.Table:
-    """Remove the rows of some images from a table of images, masks or depth maps."""
-    cameras = data.column("camera").cast(pa.string()).to_pylist()
-    stamps = data.column("timestamp_ns").to_pylist()
-    return data.filter(pc.invert(pa.array([key in keys for key in zip(cameras, stamps)], pa.bool_())))

@@ -13,10 +13,11 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest, seal
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
 from mirror.dataset.splits.split import hash_manifests
+from mirror.dataset.taken_down import drop_images
 from mirror.errors import UsageError
 from mirror.privacy.release.build import write_documents
 from mirror.privacy.release.document import Release, Tombstone
-from mirror.privacy.release.tree import FROM_IMAGES, LAYER_TABLES, drop_images, read_drives, read_rig, renumber_frames
+from mirror.privacy.release.tree import FROM_IMAGES, LAYER_TABLES, read_drives, read_rig, renumber_frames
 from mirror.privacy.release.view import ReleaseView
 from mirror.schema.documents import DatasetDocument, ImageTotals, Manifest, Rig, SplitDocument
 from mirror.schema.files import encode_table, read_json, read_table, unmovable_error, write_bytes, write_json

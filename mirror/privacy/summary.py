@@ -11,6 +11,7 @@ import numpy as np
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.redaction import REDACTION, newest_redaction
+from mirror.dataset.taken_down import read_take_downs
 from mirror.privacy.log import LOG, ImageRecord, read_log
 from mirror.privacy.regions import KINDS, Kind, Origin, Region, grown_box, region_mask
 from mirror.schema.files import read_table
@@ -137,8 +138,8 @@ def _read_logs(dataset: Dataset) -> list[ImageRecord]:
         if newest is not None:
             logs.append(layout.layer(name, REDACTION, *newest) / LOG)
     records = [record for log in logs if log.is_file() for record in read_log(log)]
-    chosen = set(traversals)
-    return [record for record in records if record.traversal_id in chosen]
+    chosen, gone = set(traversals), {one.key for one in read_take_downs(dataset.store).images}
+    return [record for record in records if record.traversal_id in chosen and record.key not in gone]
 
 
 def _covered_share(records: Sequence[ImageRecord]) -> float:

@@ -10,7 +10,9 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.take_down import take_down
 from mirror.executors.choice import ExecutorChoice
 from mirror.privacy.log import read_log
+from mirror.privacy.release.review import ReviewSession
 from mirror.privacy.run import deidentify
+from mirror.privacy.summary import read_examples
 from tests.privacy.conftest import options
 
 
@@ -23,6 +25,10 @@ def test_later_redactions_and_releases_leave_the_image_out(dataset: Path, tmp_pa
     layer = Layout(dataset).layer(key[0], "redaction", "deidentify", "2")
     assert key not in {one.key for one in read_log(layer / "log.jsonl")}
     assert mirror.open(dataset).count("images") == 17
+    # Neither the figure of a plot nor the page of a review looks for it.
+    examples = read_examples(mirror.open(dataset), 20)
+    assert len(examples) + (key[1] != "rear_left") == 12
+    assert key not in {one.key for one in ReviewSession(dataset, "anna", 100).sample}
     what = ["--name", "marks", "--licence", "CC0-1.0", "--contact", "a@example.org", "--sample", "0", "--keep-ids"]
     assert main(["release", "build", str(dataset), *what, "--out", str(tmp_path / "release")]) == 0
     assert main(["release", "check", str(tmp_path / "release"), "--originals", str(dataset)]) == 0

@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.redaction import REDACTION, newest_redaction
 from mirror.dataset.store import Store
+from mirror.dataset.taken_down import read_take_downs
 from mirror.dataset.unfinished_work import DEIDENTIFICATION
 from mirror.errors import DatasetError
 from mirror.pages.rendering import read_script, render_page, script_data
@@ -56,12 +57,13 @@ class ReviewSession:
         self._store = Store(root)
         self._places: dict[str, tuple[str, int, int]] = {}
         records: list[ImageRecord] = []
+        gone = {one.key for one in read_take_downs(self._store).images}
         for folder in sorted((root / "traversals").glob("*")):
             newest = newest_redaction(layout.layers(folder.name))
             if newest is None:
                 continue
             layer = layout.layer(folder.name, REDACTION, *newest)
-            records += read_log(layer / LOG)
+            records += [record for record in read_log(layer / LOG) if record.key not in gone]
             for row in read_table(layer / "images.parquet", IMAGES).to_pylist():
                 self._places[row["sha256"].hex()] = row["uri"], row["byte_offset"], row["byte_length"]
         if not records:

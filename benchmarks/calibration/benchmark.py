@@ -1,8 +1,9 @@
 """Calibration checking and refinement on the synthetic street, compared with injected errors.
 
-``python -m benchmarks calibration [check|refine|gain|scales|align] [--draws N]``; for ``refine`` see
+``python -m benchmarks calibration [check|refine|gain|scales|shutters|align] [--draws N]``; for ``refine`` see
 `benchmarks.calibration.refinement`, for ``gain`` `benchmarks.calibration.gain`, for ``scales``
-`benchmarks.calibration.scales`, for ``align`` `benchmarks.calibration.alignment`.
+`benchmarks.calibration.scales`, for ``shutters`` `benchmarks.calibration.shutters`, for ``align``
+`benchmarks.calibration.alignment`.
 Check: drives of three vehicle types by day and by night: 20 frames of 7 cameras on a turn, stored as JPEG, tracked
 once. Then rotation errors of 0.05 to 1.0 degrees are injected into every mounting, and poses, lenses and mounting
 positions get recorded errors, many times. Figures are total angles of the remaining error; the column ``error`` has the
@@ -31,6 +32,7 @@ from benchmarks.calibration.recording import (
 )
 from benchmarks.calibration.refinement import refine_rows
 from benchmarks.calibration.scales import scale_rows
+from benchmarks.calibration.shutters import shutter_rows
 from benchmarks.report import OUT, Row, report
 from mirror.arrays import Bool, Float64
 from mirror.calibration.estimate import estimate_rotations
@@ -124,7 +126,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument(
         "what",
         nargs="?",
-        choices=("check", "refine", "gain", "scales", "align"),
+        choices=("check", "refine", "gain", "scales", "shutters", "align"),
         default="check",
         help="default: check",
     )
@@ -143,6 +145,8 @@ def main(argv: Sequence[str]) -> int:
         return report("calibration_align", {"alignment": rows}, errors="median error")
     if options.what == "scales":
         return report("calibration_scales", {"scales": scale_rows(options.draws)}, errors="half width")
+    if options.what == "shutters":
+        return report("calibration_shutters", {"shutters": shutter_rows(options.draws)}, errors="worst")
     if options.what == "refine":
         rows = refine_rows(
             options.draws, options.vehicles.split(","), options.lights.split(","),

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64, Int64
-from mirror.calibration.rig import PosePrior, ScalePrior, TimePrior, TrackedRig
+from mirror.calibration.rig import PosePrior, ScalePrior, TimePrior, TrackedRig, declared_times_s
 from mirror.calibration.tracking import PairTracks
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
@@ -94,7 +94,7 @@ class JointProblem:
                 if points:
                     ray, slope = rays_at_scales(rig.cameras[name], np.concatenate(points))
                     self.rays[side][own], self.slopes[side][own] = ray, slope
-                    self.shares[side][own] = _line_shares(rig.cameras[name], np.concatenate(points))
+                    self.shares[side][own] = line_shares(rig.cameras[name], np.concatenate(points))
 
     def _baseline_m(self, pair: PairTracks) -> float:
         places = self.rig.world_SE3_ego[pair.camera].translation
@@ -145,13 +145,7 @@ class JointProblem:
     @cached_property
     def declared_times(self) -> Float64:
         """(C, 3) declared times in seconds: no offset, and the readouts of rows downwards and columns rightwards."""
-        out = np.zeros((len(self.rig.cameras), _TIMES))
-        for number, name in enumerate(self.rig.names):
-            shutter = self.rig.shutter(name)
-            if shutter.is_rolling:
-                sign = -1.0 if shutter.direction in ("bottom_to_top", "right_to_left") else 1.0
-                out[number, 2 if shutter.reads_columns else 1] = sign * 1e-9 * shutter.readout_ns
-        return out
+        return np.array([declared_times_s(self.rig.shutter(name)) for name in self.rig.names])
 
     @cached_property
     def _twists(self) -> Float64:
@@ -401,7 +395,7 @@ class Solution:
         return _POSE * (self.frames + np.arange(count))[:, None] + np.arange(3)
 
 
-def _line_shares(camera: Camera, uv_px: Float64) -> Float64:
+def line_shares(camera: Camera, uv_px: Float64) -> Float64:
     """Compute the place (N, 2) of points among the rows and among the columns, from -0.5 to 0.5."""
     rows = (uv_px[:, 1] - 0.5) / max(camera.height_px - 1, 1) - 0.5
     columns = (uv_px[:, 0] - 0.5) / max(camera.width_px - 1, 1) - 0.5

@@ -87,6 +87,15 @@ class TimePrior:
     readout_ms: float = 100.0
 
 
+def declared_times_s(shutter: RollingShutter) -> tuple[float, float, float]:
+    """Return the times that a shutter states, seconds: no offset, readout of rows downwards, of columns rightwards."""
+    if not shutter.is_rolling:
+        return 0.0, 0.0, 0.0
+    sign = -1.0 if shutter.direction in ("bottom_to_top", "right_to_left") else 1.0
+    readout_s = sign * 1e-9 * shutter.readout_ns
+    return (0.0, 0.0, readout_s) if shutter.reads_columns else (0.0, readout_s, 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class TrackedRig:
     """A moving rig with the tracks between its images.

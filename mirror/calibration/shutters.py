@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from mirror.calibration.estimate import TRACKER_BIAS_PX, near_rig
 from mirror.calibration.rig import PosePrior, ScalePrior, TimePrior, TrackedRig
 from mirror.calibration.tracking import pixel_rad
 from mirror.calibration.uncertainty import jackknife_variance
-from mirror.geometry.rolling_shutter import ShutterDirection
+from mirror.geometry.rolling_shutter import RollingShutter, ShutterDirection
 
 KNOWN_MS: Final = 2.0
 """A time is known if its standard deviation is at most this."""
@@ -62,6 +62,23 @@ class ShutterEstimate:
         """Return whether the images show the offset; else it is an interval."""
         return self.offset_sigma_ms <= KNOWN_MS
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the estimate as plain values, for JSON."""
+        return vars(self) | {"readout_known": self.readout_known, "offset_known": self.offset_known}
+
+    def __str__(self) -> str:
+        readout, offset = (self.readout_ms, self.readout_sigma_ms), (self.offset_ms, self.offset_sigma_ms)
+        return say_times(self.direction, readout, offset, self.problem)
+
+
+def say_times(
+    direction: str | None, readout_ms: tuple[float, float], offset_ms: tuple[float, float], problem: str | None
+) -> str:
+    """Return the readout and the time offset of a camera in words; both are values with standard deviations."""
+    readout = f"readout {readout_ms[0]:.1f} +- {readout_ms[1]:.1f} ms {direction or ''}".rstrip()
+    offset = f"time offset {offset_ms[0]:+.1f} +- {offset_ms[1]:.1f} ms"
+    return f"{readout}; {offset}" + (f"; wrong shutter: {problem}" if problem else "")
+
 
 def estimate_shutters(
     rig: TrackedRig, prior: PosePrior | None = None, scales: ScalePrior | None = None, times: TimePrior | None = None
@@ -93,7 +110,7 @@ def estimate_shutters(
         values = problem.declared_times[number] + solution.unknowns[columns]
         bias_s = _tracker_bias_s(rig, name)
         sigma = np.sqrt(variance[columns] + bias_s**2)
-        out.append(_describe(rig, name, 1e3 * values, 1e3 * sigma))
+        out.append(describe_times(name, rig.shutter(name), values, sigma))
     return out
 
 
@@ -105,13 +122,19 @@ def _tracker_bias_s(rig: TrackedRig, name: str) -> float:
     return TRACKER_BIAS_PX * pixel_rad(rig.cameras[name]) / max(spin, 1e-6)
 
 
-def _describe(rig: TrackedRig, name: str, values_ms: Float64, sigma_ms: Float64) -> ShutterEstimate:
-    """Name the direction that the readouts of rows and columns show, and what the calibration declares otherwise."""
-    shutter = rig.shutter(name)
+def describe_times(camera: str, shutter: RollingShutter, times_s: Float64, sigma_s: Float64) -> ShutterEstimate:
+    """Name the direction that the readouts of rows and columns show, and what the calibration declares otherwise.
+
+    Args:
+        camera: name of the camera.
+        shutter: its declared shutter.
+        times_s: (3,) offset of its clock, readout of the rows downwards, readout of the columns rightwards.
+        sigma_s: (3,) their standard deviations.
+    """
     declared: ShutterDirection = shutter.direction if shutter.is_rolling else "global"
     declared_ms = 1e-6 * shutter.readout_ns if shutter.is_rolling else 0.0
-    offset, down, right = values_ms.tolist()
-    offset_sigma, down_sigma, right_sigma = sigma_ms.tolist()
+    offset, down, right = (1e3 * times_s).tolist()
+    offset_sigma, down_sigma, right_sigma = (1e3 * sigma_s).tolist()
     shown: list[tuple[float, float, ShutterDirection]] = []
     for value, sigma, names in ((down, down_sigma, _DOWN), (right, right_sigma, _RIGHT)):
         if abs(value) > max(SIGMAS * sigma, LEAST_MS):
@@ -129,5 +152,5 @@ def _describe(rig: TrackedRig, name: str, values_ms: Float64, sigma_ms: Float64)
     if (direction or declared) != declared or abs(readout - declared_ms) > max(SIGMAS * sigma, LEAST_MS):
         problem = f"the calibration declares {said}; the images show {found}"
     return ShutterEstimate(
-        name, declared, declared_ms, direction, readout, sigma, offset, offset_sigma, problem
+        camera, declared, declared_ms, direction, readout, sigma, offset, offset_sigma, problem
     )  # fmt: skip

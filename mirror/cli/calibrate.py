@@ -220,9 +220,12 @@ def _describe_times(one: CameraCheck) -> str:
     """The readout and the time offset of a camera, in words."""
     if one.readout_sigma_ms is None or one.offset_sigma_ms is None:
         return "readout and time offset: not estimated"
-    readout = f"readout {one.readout_ms:.1f} +- {one.readout_sigma_ms:.1f} ms {one.shutter or ''}".rstrip()
-    offset = f"time offset {one.offset_ms:+.1f} +- {one.offset_sigma_ms:.1f} ms"
-    return f"{readout}; {offset}" + (f"; wrong shutter: {one.shutter_problem}" if one.shutter_problem else "")
+
+    from mirror.calibration.shutters import say_times
+
+    return say_times(
+        one.shutter, (one.readout_ms, one.readout_sigma_ms), (one.offset_ms, one.offset_sigma_ms), one.shutter_problem
+    )
 
 
 def _refine(argv: Sequence[str]) -> int:
@@ -260,6 +263,8 @@ def _print_refinement(report: RefinementReport, arguments: Refine) -> None:
             console.print(f"{item.traversal_id}: {item.images} images of {item.frames} frames")
         for one in item.cameras:
             console.print(f"  {one.camera:<13} {_describe(one)}")
+            if one.shutter is not None:
+                console.print(f"  {'':<13} {one.shutter}")
         for message in item.unread:
             console.print(f"  could not read: {message}")
     if any(item.status in ("refined", "existing") for item in report.traversals):

@@ -68,13 +68,13 @@ def _adjust_a_rig() -> None:
     from mirror.calibration.refinement.equations import MOUNT, POSE, reduce_equations, residuals_px, step_points
 
     starts, image, zeros = np.array([0, 2, 4]), np.array([0, 1, 0, 1]), np.zeros(2, np.int64)
-    seen = (np.tile([1.0, 0.0, 0.0], (4, 1)), np.ones((4, 2, 3)), np.zeros((4, 2)))
+    seen = (np.tile([1.0, 0.0, 0.0], (4, 1)), np.ones((4, 2, 3)), np.zeros((4, 2)), np.zeros((4, 2, 0)))
     turns, places = np.stack([np.eye(3)] * 2), np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    model = (turns, places, turns[:1], places[:1], np.zeros((1, 3)), np.array([[5.0, 0.0, 0.0], [5.0, 1.0, 0.0]]))
+    model = (turns, places, turns[:1], places[:1], *np.zeros((2, 1, 3)), np.array([[5.0, 0.0, 0.0], [5.0, 1.0, 0.0]]))
     numbers = (image, np.array([0, 1]), zeros)
     residuals_px(*numbers, *seen, np.array([0, 0, 1, 1]), *model)
     *_, inverses, mixed, slopes = reduce_equations(starts, *numbers, *seen, np.ones(4), *model, 2, 1.0)
-    step_points(starts, *numbers, inverses, mixed, slopes, np.zeros(2 * POSE + MOUNT), 2)
+    step_points(starts, *numbers, inverses, mixed, slopes, np.zeros(2 * POSE + MOUNT), 2, 1)
 
 
 if __name__ == "__main__":

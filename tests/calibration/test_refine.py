@@ -143,6 +143,9 @@ def test_rows_have_covariances_and_provenance(refined: tuple[Path, RefinementRep
     assert {"settings", "recorded"} <= set(derived)
     document = json.loads((folder / "refinement.json").read_text())
     assert document["cameras"][0]["camera"] == "front_narrow"
+    shutter = document["cameras"][0]["shutter"]
+    assert shutter["declared"] == "global" and shutter["problem"] is None
+    assert shutter["readout_sigma_ms"] > 0.0
     assert main(["check", str(root), "--rule", "CAM"]) in (0, 1)
 
 

@@ -41,7 +41,7 @@ def true_state(rigs: MovingRigs, tracks: FeatureTracks) -> RigState:
     frames, count = len(rigs.time_s), len(rigs.cameras)
     return RigState(
         np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3)), matrix_from_quaternion(true_mountings().rotation),
-        true_mountings().translation.copy(), np.zeros((count, 3)), points,
+        true_mountings().translation.copy(), *np.zeros((2, count, 3)), points,
     )  # fmt: skip
 
 

@@ -3,93 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 
 from mirror.calibration.equations import JointProblem
 from mirror.calibration.estimate import estimate_rotations
-from mirror.calibration.refinement.adjustment import adjust_rigs
-from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs
+from mirror.calibration.refinement.adjustment import Adjuster, RigState, adjust_rigs
+from mirror.calibration.refinement.rigs import RefinementPrior
+from mirror.calibration.refinement.shutters import estimate_times
+from mirror.calibration.refinement.triangulation import triangulate
 from mirror.calibration.rig import TimePrior, TrackedRig
 from mirror.calibration.shutters import estimate_shutters
-from mirror.calibration.tracking import PairTracks
-from mirror.geometry import Poses, quaternion_from_matrix
-from mirror.geometry.rolling_shutter import RollingShutter, project_rolling
-from tests.calibration.exact_rig import CAMERAS, about_z, mountings
-from tests.calibration.moving_rigs import stack
-
-FRAMES, STEP_S = 14, 0.4
-
-
-@cache
-def _way(turning: bool) -> np.ndarray:
-    """Times in seconds, headings in radians, x and y in metres, (4, 4001), of a drive of 6 m/s and more.
-
-    Its rate of turn grows from 0 to 40 degrees a second and falls again.
-    """
-    grid = np.linspace(-0.2, FRAMES * STEP_S + 0.2, 4001)
-    rate = (
-        np.radians(40.0) * np.sin(np.pi * np.clip(grid / (FRAMES * STEP_S), 0.0, 1.0)) ** 2 if turning else 0.0 * grid
-    )
-    yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(grid))])
-    speed = 6.0 + (0.8 * grid if turning else 0.0 * grid)
-    steps = [speed * np.cos(yaw), speed * np.sin(yaw)]
-    x, y = (np.concatenate([[0.0], np.cumsum(0.5 * (one[1:] + one[:-1]) * np.diff(grid))]) for one in steps)
-    return np.stack([grid, yaw, x, y])
-
-
-def _poses(times_s: np.ndarray, turning: bool) -> Poses:
-    """Poses of the drive at times."""
-    grid, yaw, x, y = _way(turning)
-    heading = np.degrees(np.interp(times_s, grid, yaw))
-    places = np.stack([np.interp(times_s, grid, x), np.interp(times_s, grid, y), 0.0 * times_s], axis=1)
-    return Poses(quaternion_from_matrix(about_z(heading)), places)
-
-
-def rolling_rig(
-    shutters: dict[str, RollingShutter], offset_ms: float = 0.0, noise_px: float = 0.15, turning: bool = True
-) -> TrackedRig:
-    """A rig whose tracks are those of true shutters and of a clock that is late; it declares global shutters."""
-    rng = np.random.default_rng(5)
-    stamps = STEP_S * np.arange(FRAMES)
-    poses, true = _poses(stamps, turning), mountings()
-    middle = poses.translation.mean(axis=0)
-    around, distance = rng.uniform(0.0, 2.0 * np.pi, 900), rng.uniform(8.0, 45.0, 900)
-    world = middle + np.stack(
-        [distance * np.cos(around), distance * np.sin(around), rng.uniform(-0.5, 10.0, 900)], axis=1
-    )
-    pairs, twists = [], {}
-    for name, camera in CAMERAS.items():
-        shutter = shutters.get(name, RollingShutter("global", 0, camera.width_px, camera.height_px))
-        seen = []
-        for stamp in stamps:
-
-            def points_at(offsets_ns: np.ndarray, stamp: float = float(stamp), name: str = name) -> np.ndarray:
-                cameras = _poses(stamp + 1e-3 * offset_ms + 1e-9 * offsets_ns, turning) @ true[name]
-                return np.asarray(cameras.inverse().transform(world[:, None])[:, 0])
-
-            seen.append(project_rolling(camera, shutter, len(world), points_at))
-        for frame in range(FRAMES - 1):
-            both = seen[frame][1] & seen[frame + 1][1]
-            uv = [seen[at][0][both] + rng.normal(0.0, noise_px, (both.sum(), 2)) for at in (frame, frame + 1)]
-            pairs.append(PairTracks(name, frame, frame + 1, uv[0], uv[1]))
-        ends = [_poses(stamps + side, turning) for side in (-0.05, 0.05)]
-        twists[name] = (ends[0].inverse() @ ends[1]).log() / 0.1
-    return TrackedRig(CAMERAS, true, stamps, dict.fromkeys(CAMERAS, poses), pairs, twists)
-
-
-def shutter(name: str, direction: str, readout_ms: float) -> RollingShutter:
-    camera = CAMERAS[name]
-    return RollingShutter(direction, round(1e6 * readout_ms), camera.width_px, camera.height_px)  # type: ignore[arg-type]
-
-
-TRUE = {
-    "ahead": shutter("ahead", "top_to_bottom", 30.0),
-    "left": shutter("left", "right_to_left", 20.0),
-    "right": shutter("right", "bottom_to_top", 25.0),
-}
+from mirror.errors import UsageError
+from mirror.geometry.rolling_shutter import RollingShutter
+from tests.calibration.exact_rig import CAMERAS
+from tests.calibration.rolling_rig import TRUE, rolling_features, rolling_rig, shutter
 
 
 @pytest.fixture(scope="module")
@@ -166,42 +95,8 @@ def test_derivatives_by_the_times_are_those_of_finite_differences(rig: TrackedRi
         assert state.gradient[column] == pytest.approx(slope, rel=0.02, abs=1e-3 * size)
 
 
-def _moving_rigs(shutters: dict[str, RollingShutter]) -> tuple[MovingRigs, FeatureTracks]:
-    """The same drive as features of 400 points; the rigs state no shutters."""
-    rng = np.random.default_rng(7)
-    frames, step_s, count = 10, 0.35, len(CAMERAS)
-    stamps, true = 0.6 + step_s * np.arange(frames), mountings()
-    poses = _poses(stamps, True)
-    around, distance = rng.uniform(0.0, 2.0 * np.pi, 400), rng.uniform(6.0, 30.0, 400)
-    around = np.stack([distance * np.cos(around), distance * np.sin(around), rng.uniform(-0.5, 8.0, 400)], axis=1)
-    world = poses.translation.mean(axis=0) + around
-    rows, twist = [], np.empty((frames * count, 6))
-    ends = [_poses(stamps + side, True) for side in (-0.05, 0.05)]
-    for number, (name, camera) in enumerate(CAMERAS.items()):
-        for frame, stamp in enumerate(stamps):
-
-            def points_at(offsets_ns: np.ndarray, stamp: float = float(stamp), name: str = name) -> np.ndarray:
-                cameras = _poses(stamp + 1e-9 * offsets_ns, True) @ true[name]
-                return np.asarray(cameras.inverse().transform(world[:, None])[:, 0])
-
-            uv, valid, _ = project_rolling(camera, shutters[name], len(world), points_at)
-            rows += [(point, frame * count + number, *uv[point]) for point in np.flatnonzero(valid)]
-            twist[frame * count + number] = ((ends[0].inverse() @ ends[1]).log() / 0.1)[frame]
-    table = np.array(sorted(rows))
-    table = table[np.bincount(table[:, 0].astype(int))[table[:, 0].astype(int)] >= 2]
-    track = np.unique(table[:, 0], return_inverse=True)[1].astype(np.int64)
-    tracks = FeatureTracks(track, table[:, 1].astype(np.int64), table[:, 2:], np.ones(len(table)))
-    frame = np.repeat(np.arange(frames), count)
-    mounted = stack([true[name] for name in CAMERAS])
-    rigs = MovingRigs(
-        list(CAMERAS.values()), mounted, poses[frame], frame, np.tile(np.arange(count), frames), stamps,
-        np.zeros(frames, np.int64), twist,
-    )  # fmt: skip
-    return rigs, tracks
-
-
 def test_an_adjustment_with_the_declared_shutters_keeps_exact_mountings() -> None:
-    rigs, tracks = _moving_rigs(TRUE)
+    rigs, tracks = rolling_features(TRUE, points=400, frames=10)
     errors = []
     for shutters in ([TRUE[name] for name in CAMERAS], []):
         found = adjust_rigs(replace(rigs, shutters=shutters), tracks)
@@ -209,3 +104,72 @@ def test_an_adjustment_with_the_declared_shutters_keeps_exact_mountings() -> Non
         errors.append((float(np.degrees(np.abs(turn)).max()), float(np.median(found.residual_px))))
     assert errors[0][0] < 0.02 and errors[0][1] < 0.05
     assert errors[1][0] > 3.0 * errors[0][0] and errors[1][1] > 3.0 * errors[0][1]
+
+
+def _true_times_ms(offset_ms: float) -> np.ndarray:
+    """Offset and readout in the true direction (C, 2)."""
+    return np.array([[offset_ms, 1e-6 * TRUE[name].readout_ns] for name in CAMERAS])
+
+
+@pytest.mark.parametrize("declared", [{}, TRUE], ids=["undeclared", "declared"])
+def test_features_of_many_images_show_readout_and_offset_within_a_millisecond(
+    declared: dict[str, RollingShutter],
+) -> None:
+    """Noise of 0.4 px; also the camera on the right, of which pairs of images show the readout to 7 ms."""
+    rigs, tracks = rolling_features(TRUE, 6.0, 0.4, seed=3, points=900)
+    stated = replace(rigs, shutters=[declared[name] for name in CAMERAS if name in declared])
+    found = estimate_times(stated, tracks, list(CAMERAS))
+    assert [one.direction for one in found] == [TRUE[name].direction for name in CAMERAS]
+    values = np.array([[one.offset_ms, one.readout_ms] for one in found])
+    sigma = np.array([[one.offset_sigma_ms, one.readout_sigma_ms] for one in found])
+    errors = np.abs(values - _true_times_ms(6.0))
+    assert errors.max() < 1.0 and sigma.max() < 1.0
+    assert (errors < 3.0 * sigma).all()
+    assert all((one.problem is None) == bool(declared) for one in found)
+
+
+def test_exact_features_show_the_times_exactly() -> None:
+    rigs, tracks = rolling_features(TRUE, 6.0, points=300)
+    found = estimate_times(rigs, tracks, list(CAMERAS))
+    values = np.array([[one.offset_ms, one.readout_ms] for one in found])
+    # velocities between poses 0.05 s before and after an exposure miss what they change in between
+    assert np.abs(values - _true_times_ms(6.0)).max() < 0.15
+
+
+def test_without_turns_the_offset_has_the_interval_of_its_prior() -> None:
+    rigs, tracks = rolling_features(TRUE, 6.0, 0.2, points=300, turning=False)
+    for one in estimate_times(rigs, tracks, list(CAMERAS)):
+        assert not one.offset_known and abs(one.offset_ms - 6.0) < 3.0 * one.offset_sigma_ms
+
+
+def test_times_without_velocities_are_refused() -> None:
+    rigs, tracks = rolling_features(TRUE, points=30, frames=3)
+    with pytest.raises(UsageError, match="no velocities"):
+        estimate_times(replace(rigs, ego_twist=None), tracks, list(CAMERAS))
+
+
+def test_the_derivatives_by_the_times_are_those_of_the_exposed_features() -> None:
+    rigs, tracks = rolling_features(TRUE, 6.0, points=40, frames=4)
+    adjuster = Adjuster(rigs, RefinementPrior(), TimePrior())
+    points, _ = triangulate(rigs, tracks)
+    known = np.asarray(np.isfinite(points).all(axis=1))
+    mounts = adjuster.mounts
+    state = RigState(
+        np.tile(np.eye(3), (4, 1, 1)), np.zeros((4, 3)), mounts, rigs.ego_SE3_camera.translation,
+        np.zeros((3, 3)), np.zeros((3, 3)), np.where(known[:, None], points, [30.0, 0.0, 2.0]),
+    )  # fmt: skip
+
+    def residuals(times_s: np.ndarray) -> np.ndarray:
+        """Residuals of features that are exposed at some times."""
+        at = replace(state, times_s=times_s)
+        adjuster.expose(at, tracks)
+        return adjuster.residuals(at, tracks)
+
+    step = 1e-4 * np.eye(9).reshape(9, 3, 3)
+    differences = np.stack([(residuals(h) - residuals(-h)) / 2e-4 for h in step], axis=-1)
+    residuals(np.zeros((3, 3)))
+    late = adjuster.features(tracks).late
+    own = 3 * rigs.mounting[tracks.image][:, None] + np.arange(3)
+    expected = np.take_along_axis(differences, own[:, None, :], axis=2)
+    assert np.abs(late - expected).max() < 1e-5 * np.abs(expected).max()
+    assert np.abs(expected).max() > 100.0

@@ -6,7 +6,7 @@ scale of the loss starts large and shrinks, so that mountings with errors of a d
 observations that do not fit are removed.
 
 A feature of a rolling shutter is seen at the time of its line. Before each stage its ray is replaced by that by which
-its point, as far as it is known, would be seen at mid-exposure.
+its point, as far as it is known, would be seen at mid-exposure. The times of the cameras may be unknowns too.
 
 What the images alone give is the rotation of the cameras relative to each other. The rotation of all of them together
 to the vehicle comes from the recorded poses and their errors, and has a larger uncertainty.
@@ -22,11 +22,13 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Bool, Float64
-from mirror.calibration.equations import exp_rotations, rays_with_slopes
+from mirror.calibration.equations import exp_rotations
 from mirror.calibration.estimate import FARTHEST_M
-from mirror.calibration.refinement.equations import MOUNT, POSE, reduce_equations, residuals_px, step_points
+from mirror.calibration.refinement.equations import MOUNT, POSE, TIMES, reduce_equations, residuals_px, step_points
+from mirror.calibration.refinement.exposure import ExposedFeatures
 from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs, RefinementPrior
 from mirror.calibration.refinement.triangulation import triangulate
+from mirror.calibration.rig import TimePrior, declared_times_s
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
@@ -36,6 +38,8 @@ _STAGES: Final = ((30.0, 40.0, 6), (5.0, 8.0, 8), (1.0, 4.0, 30))
 _UNKNOWN_DEG: Final = 5.0
 _LEAST_GAIN: Final = 1e-6
 _LARGEST_DAMPING: Final = 1e8
+_SETTLED_S: Final = 1e-5
+_MOST_EXPOSURES: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +52,8 @@ class RigState:
         mount_turns: (K, 3, 3) rotations ego_R_camera.
         mount_places: (K, 3) positions on the vehicle.
         lenses: (K, 3) changes of the logarithm of the focal length, and of the principal point in pixels.
+        times_s: (K, 3) times of the cameras: offset of the clock, readout of the rows downwards, of the columns
+            rightwards.
         points: (T, 3) points.
     """
 
@@ -56,18 +62,21 @@ class RigState:
     mount_turns: Float64
     mount_places: Float64
     lenses: Float64
+    times_s: Float64
     points: Float64
 
     def moved(self, step: Float64, point_steps: Float64) -> RigState:
-        """Return the state moved by a step (N,) of frames and mountings, and by steps (T, 3) of the points."""
+        """Return the state moved by a step (N,) of frames, mountings and times, and by steps (T, 3) of the points."""
         split = POSE * len(self.frame_steps)
-        frames, mounts = step[:split].reshape(-1, POSE), step[split:].reshape(-1, MOUNT)
+        end = split + MOUNT * len(self.mount_places)
+        frames, mounts = step[:split].reshape(-1, POSE), step[split:end].reshape(-1, MOUNT)
         return RigState(
             self.frame_turns @ exp_rotations(frames[:, :3]),
             self.frame_steps + frames[:, 3:],
             self.mount_turns @ exp_rotations(mounts[:, :3]),
             self.mount_places + mounts[:, 3:6],
             self.lenses + mounts[:, 6:],
+            self.times_s + (step[end:].reshape(-1, TIMES) if len(step) > end else 0.0),
             self.points + point_steps,
         )
 
@@ -80,7 +89,8 @@ class Adjustment:
         rigs: the recorded rigs.
         tracks: the tracks that were used in the end.
         state: the adjusted values.
-        covariance: (N, N) of frames and mountings: 6 numbers a frame, then 9 a mounting.
+        covariance: (N, N) of frames and mountings: 6 numbers a frame, then 9 a mounting; with unknown times 3 more a
+            camera, last of all.
         residual_px: (M,) distances of the observations from the projections of their points.
         steps: number of steps.
         converged: whether the last stage ended because nothing was gained any more.
@@ -120,6 +130,11 @@ class Adjustment:
         first = POSE * len(self.rigs.time_s) + MOUNT * mounting
         return slice(first, first + POSE)
 
+    def time_columns(self, mounting: int) -> slice:
+        """Return the columns of a camera's times in the covariance; there are none if the times were not unknown."""
+        first = POSE * len(self.rigs.time_s) + MOUNT * len(self.rigs.cameras) + TIMES * mounting
+        return slice(first, first + TIMES)
+
     def observations(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         """Return the number (K,) of observations of each mounting."""
         return np.bincount(self.rigs.mounting[self.tracks.image], minlength=len(self.rigs.cameras))
@@ -137,6 +152,7 @@ def adjust_rigs(
     tracks: FeatureTracks,
     prior: RefinementPrior | None = None,
     advance: Callable[[int], None] = lambda steps: None,
+    times: TimePrior | None = None,
 ) -> Adjustment:
     """Adjust rigs to tracks.
 
@@ -145,12 +161,18 @@ def adjust_rigs(
         tracks: tracks of features; those whose rays hardly meet or have no angle are left out.
         prior: errors that the recorded values may have; None: the defaults.
         advance: is called with 1 after each step.
+        times: errors that the declared times of the cameras may have, which are then unknowns; None: they are exact.
 
     Raises:
-        UsageError: no track can be triangulated.
+        UsageError: no track can be triangulated, or times are unknown and the rigs state no velocities.
     """
+    if times is not None and rigs.ego_twist is None:
+        raise UsageError(
+            "the rigs state no velocities", place="rigs.ego_twist",
+            expected="velocities of the vehicle, which show the times of the cameras",
+        )  # fmt: skip
     weights = prior or RefinementPrior()
-    adjuster = Adjuster(rigs, weights)
+    adjuster = Adjuster(rigs, weights, times)
     points, kept = triangulate(rigs, tracks)
     tracks, points = _select(tracks, points, kept)
     state = RigState(
@@ -159,19 +181,24 @@ def adjust_rigs(
         matrix_from_quaternion(rigs.ego_SE3_camera.rotation),
         rigs.ego_SE3_camera.translation.copy(),
         np.zeros((len(rigs.cameras), 3)),
+        adjuster.declared_s.copy(),
         points,
     )
     steps = 0
-    # the last stage again: its rays know the points better
-    for factor, largest_px, most in (*_STAGES, *(_STAGES[-1:] if rigs.are_rolling else ())):
+    # the last stage again: its rays know the points better, and the times
+    again = _MOST_EXPOSURES if times is not None else int(rigs.are_rolling)
+    for factor, largest_px, most in (*_STAGES, *(_STAGES[-1:] * again)):
         if not len(tracks):
             break
         adjuster.expose(state, tracks)
+        before_s = state.times_s
         state, taken, converged = adjuster.solve(state, tracks, factor, most, advance)
         steps += taken
         fits = np.linalg.norm(adjuster.residuals(state, tracks), axis=1) < largest_px
         tracks, points = _select(tracks, state.points, fits & adjuster.is_near(state, tracks))
         state = replace(state, points=points)
+        if times is not None and factor == 1.0 and np.abs(state.times_s - before_s).max() < _SETTLED_S:
+            break
     if not len(tracks):
         raise UsageError(
             "no feature is seen from two places", expected="images that overlap, of a vehicle that moves",
@@ -187,19 +214,21 @@ def adjust_rigs(
 class Adjuster:
     """The equations of the adjustment of some rigs."""
 
-    def __init__(self, rigs: MovingRigs, prior: RefinementPrior) -> None:
-        self.rigs, self.prior = rigs, prior
+    def __init__(self, rigs: MovingRigs, prior: RefinementPrior, times: TimePrior | None = None) -> None:
+        self.rigs, self.prior, self.times = rigs, prior, times
         self.turns = matrix_from_quaternion(rigs.world_SE3_ego.rotation)
         self.mounts = matrix_from_quaternion(rigs.ego_SE3_camera.rotation)
-        self.centres = np.array([(camera.cx_px, camera.cy_px) for camera in rigs.cameras])
-        self._rays: tuple[FeatureTracks, tuple[Float64, Float64, Float64]] | None = None
-        self._raw: tuple[FeatureTracks, Float64] | None = None
+        self.declared_s = np.zeros((len(rigs.cameras), TIMES))
+        if rigs.shutters:
+            self.declared_s[:] = [declared_times_s(shutter) for shutter in rigs.shutters]
+        self._features: tuple[FeatureTracks, ExposedFeatures] | None = None
 
     @cached_property
     def information(self) -> Float64:
         """Inverse covariance (N, N) of the recorded values."""
         rigs, prior = self.rigs, self.prior
-        frames, size = len(rigs.time_s), POSE * len(rigs.time_s) + MOUNT * len(rigs.cameras)
+        frames, first_time = len(rigs.time_s), POSE * len(rigs.time_s) + MOUNT * len(rigs.cameras)
+        size = first_time + (0 if self.times is None else TIMES * len(rigs.cameras))
         matrix = np.zeros((size, size))
         for number in np.unique(rigs.traversal):
             own = np.flatnonzero(rigs.traversal == number)
@@ -216,6 +245,9 @@ class Adjuster:
             diagonal[mount + 3 + axis] = prior.poses.mounting_m**-2
         diagonal[mount + 6] = prior.focal_share**-2
         diagonal[mount + 7] = diagonal[mount + 8] = (prior.centre_share * width) ** -2
+        if self.times is not None:
+            sigma_s = 1e-3 * np.array([self.times.offset_ms, self.times.readout_ms, self.times.readout_ms])
+            diagonal[first_time:] = np.tile(sigma_s**-2, len(rigs.cameras))
         matrix[np.arange(size), np.arange(size)] = diagonal
         return matrix
 
@@ -224,46 +256,28 @@ class Adjuster:
         frames = np.concatenate([_logarithms(state.frame_turns), state.frame_steps], axis=1)
         turned = _logarithms(np.swapaxes(self.mounts, 1, 2) @ state.mount_turns)
         moved = state.mount_places - self.rigs.ego_SE3_camera.translation
-        return np.concatenate([frames.ravel(), np.concatenate([turned, moved, state.lenses], axis=1).ravel()])
+        mounts = np.concatenate([turned, moved, state.lenses], axis=1)
+        late = [] if self.times is None else [(state.times_s - self.declared_s).ravel()]
+        return np.concatenate([frames.ravel(), mounts.ravel(), *late])
 
-    def rays(self, tracks: FeatureTracks) -> tuple[Float64, Float64, Float64]:
-        """Return the rays (M, 3) of features, their derivatives (M, 2, 3), and the features about the centre (M, 2).
-
-        The derivatives are those of pixels by rays.
-        """
-        if self._rays is None or self._rays[0] is not tracks:
-            mounting = self.rigs.mounting[tracks.image]
-            ray, metric = np.empty((len(mounting), 3)), np.empty((len(mounting), 2, 3))
-            for number in np.unique(mounting):
-                own = mounting == number
-                ray[own], slopes = rays_with_slopes(self.rigs.cameras[number], tracks.uv_px[own])
-                metric[own] = np.linalg.pinv(slopes)
-            self._rays = tracks, (ray, metric, tracks.uv_px - self.centres[mounting])
-        return self._rays[1]
+    def features(self, tracks: FeatureTracks) -> ExposedFeatures:
+        """Return the rays of features, as they were exposed last."""
+        if self._features is None or self._features[0] is not tracks:
+            self._features = tracks, ExposedFeatures.of(self.rigs, tracks)
+        return self._features[1]
 
     def expose(self, state: RigState, tracks: FeatureTracks) -> None:
-        """Move the rays of features of rolling shutters to mid-exposure, by the points of a state."""
+        """Move the rays of features of rolling shutters to mid-exposure, by the points and times of a state."""
         twist, rigs = self.rigs.ego_twist, self.rigs
-        if twist is None or not rigs.are_rolling:
+        if twist is None or not (rigs.are_rolling or self.times is not None):
             return
-        ray, metric, from_centre = self.rays(tracks)
-        raw = ray if self._raw is None or self._raw[0] is not tracks else self._raw[1]
-        mounting, points = rigs.mounting[tracks.image], state.points[tracks.track]
-        times = np.empty(len(mounting))
-        for number in np.unique(mounting):
-            own = mounting == number
-            times[own] = 1e-9 * rigs.shutters[number].offsets_ns(tracks.uv_px[own])
         turns, places = self._poses(state)
-        in_ego = np.einsum("mji,mj->mi", turns[tracks.image], points - places[tracks.image])
-        spin, speed = twist[tracks.image, :3], twist[tracks.image, 3:]
-        moves = exp_rotations(times[:, None] * spin)
-        later = np.einsum("mji,mj->mi", moves, in_ego - times[:, None] * speed)
-        directions = []
-        for place in (in_ego, later):
-            seen = np.einsum("mji,mj->mi", state.mount_turns[mounting], place - state.mount_places[mounting])
-            directions.append(seen / np.linalg.norm(seen, axis=1, keepdims=True))
-        self._raw = tracks, raw
-        self._rays = tracks, (raw + directions[0] - directions[1], metric, from_centre)
+        in_ego = np.einsum("mji,mj->mi", turns[tracks.image], state.points[tracks.track] - places[tracks.image])
+        exposed = self.features(tracks).exposed(
+            twist[tracks.image], in_ego, state.mount_turns, state.mount_places, rigs.mounting[tracks.image],
+            state.times_s, are_unknown=self.times is not None,
+        )  # fmt: skip
+        self._features = tracks, exposed
 
     def _poses(self, state: RigState) -> tuple[Float64, Float64]:
         """Rotations (I, 3, 3) and positions (I, 3) of the vehicle at all images."""
@@ -272,10 +286,11 @@ class Adjuster:
 
     def residuals(self, state: RigState, tracks: FeatureTracks) -> Float64:
         """Return the residuals (M, 2) in pixels."""
-        ray, metric, from_centre = self.rays(tracks)
+        seen = self.features(tracks)
         return residuals_px(
-            tracks.image, self.rigs.frame, self.rigs.mounting, ray, metric, from_centre, tracks.track,
-            *self._poses(state), state.mount_turns, state.mount_places, state.lenses, state.points,
+            tracks.image, self.rigs.frame, self.rigs.mounting, seen.ray, seen.metric, seen.from_centre, seen.late,
+            tracks.track, *self._poses(state), state.mount_turns, state.mount_places, state.lenses,
+            state.times_s - seen.times_s, state.points,
         )  # fmt: skip
 
     def is_near(self, state: RigState, tracks: FeatureTracks) -> Bool:
@@ -292,11 +307,11 @@ class Adjuster:
     def _equations(
         self, state: RigState, tracks: FeatureTracks, sigma_px: Float64, damping: float
     ) -> tuple[Float64, Float64, Float64, Float64, Float64, Float64, Float64]:
-        ray, metric, from_centre = self.rays(tracks)
+        seen = self.features(tracks)
         return reduce_equations(
-            tracks.starts, tracks.image, self.rigs.frame, self.rigs.mounting, ray, metric, from_centre, sigma_px,
-            *self._poses(state), state.mount_turns, state.mount_places, state.lenses, state.points,
-            len(self.rigs.time_s), damping,
+            tracks.starts, tracks.image, self.rigs.frame, self.rigs.mounting, seen.ray, seen.metric, seen.from_centre,
+            seen.late, sigma_px, *self._poses(state), state.mount_turns, state.mount_places, state.lenses,
+            state.times_s - seen.times_s, state.points, len(self.rigs.time_s), damping,
         )  # fmt: skip
 
     def _sigma_px(self, tracks: FeatureTracks, factor: float = 1.0) -> Float64:
@@ -319,7 +334,7 @@ class Adjuster:
                 step = np.asarray(-np.linalg.solve(matrix, gradient + off), np.float64)
                 moves = step_points(
                     tracks.starts, tracks.image, self.rigs.frame, self.rigs.mounting, inverses, mixed, slopes, step,
-                    frames,
+                    frames, len(self.rigs.cameras),
                 )  # fmt: skip
                 trial = state.moved(step, moves)
                 trial_cost = self._cost(trial, tracks, sigma_px)

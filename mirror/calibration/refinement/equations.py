@@ -4,8 +4,9 @@ A residual is the difference between the direction to a point and the ray of its
 derivative of the lens at the feature, plus what a change of the lens adds. To second order in the residual it is the
 reprojection error, for every lens model, and it is defined for all points. It has derivatives by the pose of its frame
 (rotation about the vehicle's axes, translation in the world), the mounting (rotation about the camera's axes,
-translation on the vehicle), the lens (focal length, principal point) and the point. Points are eliminated one by one
-(the Schur complement), so that only the equations of frames and mountings are solved.
+translation on the vehicle), the lens (focal length, principal point), the times of the camera where they are unknown,
+and the point. Points are eliminated one by one (the Schur complement), so that only the equations of frames, mountings
+and times are solved.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from mirror.compiled import inner_njit
 
 POSE: Final = 6
 MOUNT: Final = 9
+TIMES: Final = 3
+"""Times of a camera: offset of its clock, readout of the rows downwards, and of the columns rightwards, seconds."""
 _OWN: Final = POSE + MOUNT
 
 
@@ -46,8 +49,9 @@ def _predict(
 
 @numba.njit(cache=True, nogil=True)
 def residuals_px(
-    image: Int64, frame: Int64, mounting: Int64, ray: Float64, metric: Float64, from_centre: Float64, track: Int64,
-    turns: Float64, places: Float64, mount_turns: Float64, mount_places: Float64, lenses: Float64, points: Float64,
+    image: Int64, frame: Int64, mounting: Int64, ray: Float64, metric: Float64, from_centre: Float64, late: Float64,
+    track: Int64, turns: Float64, places: Float64, mount_turns: Float64, mount_places: Float64, lenses: Float64,
+    times: Float64, points: Float64,
 ) -> Float64:  # pragma: no cover  # fmt: skip
     """Return the residuals (M, 2) of observations; see `reduce_equations` for the arguments."""
     out = np.empty((len(image), 2))
@@ -59,6 +63,8 @@ def residuals_px(
         length = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2)
         for a in range(2):
             value = lenses[k, 0] * from_centre[row, a] + lenses[k, 1 + a]
+            for e in range(late.shape[2]):
+                value += late[row, a, e] * times[k, e]
             for b in range(3):
                 value += metric[row, a, b] * (q[b] / length - ray[row, b])
             out[row, a] = value
@@ -68,10 +74,10 @@ def residuals_px(
 @numba.njit(cache=True, nogil=True)
 def reduce_equations(
     starts: Int64, image: Int64, frame: Int64, mounting: Int64, ray: Float64, metric: Float64, from_centre: Float64,
-    sigma_px: Float64, turns: Float64, places: Float64, mount_turns: Float64, mount_places: Float64, lenses: Float64,
-    points: Float64, frames: int, damping: float,
+    late: Float64, sigma_px: Float64, turns: Float64, places: Float64, mount_turns: Float64, mount_places: Float64,
+    lenses: Float64, times: Float64, points: Float64, frames: int, damping: float,
 ) -> tuple[Float64, Float64, Float64, Float64, Float64, Float64, Float64]:  # pragma: no cover  # fmt: skip
-    """Return the normal equations of frames and mountings, after elimination of the points.
+    """Return the normal equations of frames, mountings and times, after elimination of the points.
 
     Args:
         starts: (T + 1,) first observation of each point.
@@ -81,34 +87,39 @@ def reduce_equations(
         ray: (M, 3) unit rays of the features.
         metric: (M, 2, 3) derivatives of pixels by rays.
         from_centre: (M, 2) features relative to the principal points.
+        late: (M, 2, E) derivatives of the residuals by the times of the camera; E is 3, or 0: the times are exact.
         sigma_px: (M,) scales of Cauchy's loss.
         turns: (I, 3, 3) rotations world_R_ego of the images.
         places: (I, 3) positions of the vehicle.
         mount_turns: (K, 3, 3) rotations ego_R_camera.
         mount_places: (K, 3) positions of the cameras on the vehicle.
         lenses: (K, 3) changes of the logarithm of the focal length, and of the principal point in pixels.
+        times: (K, 3) times of the cameras since `late` was computed, seconds.
         points: (T, 3) points.
         frames: number of frames.
         damping: Levenberg's factor of the points' own blocks.
 
     Returns:
-        Reduced matrix (N, N) with N = 6 frames + 9 mountings, the diagonal (N,) before elimination, the reduced
-        gradient (N,), the sum (N, N) of the outer products of the points' reduced gradients, and for `step_points` the
-        inverse blocks (T, 3, 3) of the points, the mixed blocks (M, 15, 3) and the points' gradients (T, 3).
+        Reduced matrix (N, N) with N = 6 frames + (9 + E) mountings, the times last of all, the diagonal (N,) before
+        elimination, the reduced gradient (N,), the sum (N, N) of the outer products of the points' reduced gradients,
+        and for `step_points` the inverse blocks (T, 3, 3) of the points, the mixed blocks (M, 15 + E, 3) and the
+        points' gradients (T, 3).
     """
-    size = POSE * frames + MOUNT * len(mount_places)
+    extra = late.shape[2]
+    count_own, first_time = _OWN + extra, POSE * frames + MOUNT * len(mount_places)
+    size = first_time + extra * len(mount_places)
     matrix, diagonal, gradient = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     scatter = np.zeros((size, size))
     inverses, slopes = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
-    mixed = np.zeros((len(image), _OWN, 3))
+    mixed = np.zeros((len(image), count_own, 3))
     own = np.zeros((size, 3))
     score = np.zeros(size)
     seen = np.zeros(size, np.bool_)
     touched = np.empty(size, np.int64)
     in_ego, q, d = np.empty(3), np.empty(3), np.empty(3)
     by_q, by_ego, by_world = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
-    j, r = np.empty((2, _OWN)), np.empty(2)
-    columns = np.empty(_OWN, np.int64)
+    j, r = np.empty((2, count_own)), np.empty(2)
+    columns = np.empty(count_own, np.int64)
     for t in range(len(points)):
         block, slope, count = np.zeros((3, 3)), np.zeros(3), 0
         for row in range(starts[t], starts[t + 1]):
@@ -121,6 +132,9 @@ def reduce_equations(
                 d[a] = q[a] / length
             for a in range(2):
                 r[a] = lenses[k, 0] * from_centre[row, a] + lenses[k, 1 + a]
+                for e in range(extra):
+                    j[a, _OWN + e] = late[row, a, e]
+                    r[a] += late[row, a, e] * times[k, e]
                 along = 0.0
                 for b in range(3):
                     r[a] += metric[row, a, b] * (d[b] - ray[row, b])
@@ -154,13 +168,15 @@ def reduce_equations(
                 columns[c] = POSE * frame[number] + c
             for c in range(MOUNT):
                 columns[POSE + c] = POSE * frames + MOUNT * k + c
-            for b in range(_OWN):
+            for e in range(extra):
+                columns[_OWN + e] = first_time + extra * k + e
+            for b in range(count_own):
                 at = columns[b]
                 if not seen[at]:
                     seen[at], touched[count] = True, at
                     count += 1
                 score[at] += weight * (j[0, b] * r[0] + j[1, b] * r[1])
-                for c in range(_OWN):
+                for c in range(count_own):
                     matrix[at, columns[c]] += weight * (j[0, b] * j[0, c] + j[1, b] * j[1, c])
                 diagonal[at] += weight * (j[0, b] ** 2 + j[1, b] ** 2)
                 for c in range(3):
@@ -218,16 +234,22 @@ def _invert(block: Float64, damping: float, out: Float64) -> None:  # pragma: no
 @numba.njit(cache=True, nogil=True)
 def step_points(
     starts: Int64, image: Int64, frame: Int64, mounting: Int64, inverses: Float64, mixed: Float64, slopes: Float64,
-    step: Float64, frames: int,
+    step: Float64, frames: int, mountings: int,
 ) -> Float64:  # pragma: no cover  # fmt: skip
-    """Compute the steps (T, 3) of the points that follow from a step (N,) of the frames and mountings."""
+    """Compute the steps (T, 3) of the points that follow from a step (N,) of the frames, mountings and times."""
+    extra, first_time = mixed.shape[1] - _OWN, POSE * frames + MOUNT * mountings
     out = np.empty((len(inverses), 3))
     for t in range(len(inverses)):
         total = slopes[t].copy()
         for row in range(starts[t], starts[t + 1]):
             number = image[row]
-            for b in range(_OWN):
-                at = POSE * frame[number] + b if b < POSE else POSE * (frames - 1) + MOUNT * mounting[number] + b
+            for b in range(mixed.shape[1]):
+                if b < POSE:
+                    at = POSE * frame[number] + b
+                elif b < _OWN:
+                    at = POSE * (frames - 1) + MOUNT * mounting[number] + b
+                else:
+                    at = first_time + extra * mounting[number] + b - _OWN
                 for c in range(3):
                     total[c] += mixed[row, b, c] * step[at]
         for b in range(3):

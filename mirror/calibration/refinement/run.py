@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +16,7 @@ from mirror.calibration.refinement.provenance import hash_inputs
 from mirror.calibration.refinement.report import METHOD, RefinementReport, TraversalRefinement
 from mirror.calibration.refinement.rigs import FeatureTracks, RefinementPrior
 from mirror.calibration.refinement.scene import SceneRigs, TraversalImages, gather_rigs, open_traversal, read_features
+from mirror.calibration.refinement.shutters import estimate_times
 from mirror.calibration.refinement.summary import CameraRefinement, summarise
 from mirror.calibration.statistics import require_scipy
 from mirror.dataset.dataset import Dataset
@@ -137,7 +138,10 @@ class _SceneRefinement:
         adjusted = adjust_rigs(joined.rigs, tracks, self.settings.prior, advance)
         self.report.steps[self.scene] = adjusted.steps
         references = {item.drive_id: item.reference or "" for item in items}
-        return joined, summarise(adjusted, joined, [references[drive] for drive in joined.drives])
+        refined = summarise(adjusted, joined, [references[drive] for drive in joined.drives])
+        names = [one.camera for one in joined.calibrations]
+        shutters = estimate_times(joined.rigs, tracks, names, self.settings.prior, advance)
+        return joined, [replace(one, shutter=shutter) for one, shutter in zip(refined, shutters, strict=True)]
 
     def _match(self, joined: SceneRigs, reporter: ProgressReporter) -> FeatureTracks:
         options, matches = self.settings.matching, dict[tuple[int, int], Int64]()

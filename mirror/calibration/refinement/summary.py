@@ -13,6 +13,7 @@ from mirror.calibration.equations import exp_rotations
 from mirror.calibration.estimate import AXES, OBSERVABLE_DEG
 from mirror.calibration.refinement.adjustment import Adjustment, rotations
 from mirror.calibration.refinement.scene import SceneRigs
+from mirror.calibration.shutters import ShutterEstimate
 from mirror.calibration.tracking import pixel_rad
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
@@ -47,6 +48,7 @@ class CameraRefinement:
         ego_SE3_camera: the refined mounting.
         lens: the refined lens.
         covariance: (6, 6) of the mounting, in the camera frame: rotation (rad), then translation (m).
+        shutter: readout and time offset that the images show; None: not estimated.
     """
 
     camera: str
@@ -65,6 +67,7 @@ class CameraRefinement:
     ego_SE3_camera: Poses
     lens: Camera
     covariance: Float64
+    shutter: ShutterEstimate | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as plain values, for JSON."""
@@ -82,6 +85,7 @@ class CameraRefinement:
             "moved_cm": self.moved_cm,
             "observations": self.observations,
             "residual_px": self.residual_px,
+            "shutter": None if self.shutter is None else self.shutter.to_dict(),
         }
 
 

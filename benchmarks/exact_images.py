@@ -1,9 +1,10 @@
 """Processor time of images of the exact street in the drives of a suite, beside an earlier checkout.
 
-``python -m benchmarks exact_images [--drives N] [--repeats N] [--against CHECKOUT]``. Drives of `closed-loop`, spread
+``python -m benchmarks exact_images [--drives N] [--against CHECKOUT]``. Drives of `closed-loop`, spread
 evenly over one street, are driven by the lane keeper; each step renders one camera at 160x90, and in a second run at
-240x135. Times are medians of the processor time of an image, in one thread. ``--against`` measures another checkout in
-turns with this one: the error is the number of drives whose images or masks differ in a byte, the bar is none.
+240x135. Times are medians of the processor time of an image, in one thread. ``--against`` measures another checkout
+image by image in turns with this one, so that other work on the machine slows both alike, and prints the median of the
+ratios: the error is the number of drives whose images or masks differ in a byte, the bar is none.
 """
 
 from __future__ import annotations
@@ -14,9 +15,12 @@ import os
 import statistics
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from operator import truediv
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from benchmarks.report import Peer, Row, report
 
@@ -24,7 +28,8 @@ _ROOT: Final = Path(__file__).parents[1]
 _BARS: Final = {160: 14.0, 240: 28.0}
 _WARM: Final = 2
 
-# Prints the processor seconds of each image, and the hash of each drive's images and masks.
+# Renders an image at each line of its input, and prints the width and the processor seconds; at last the hashes of the
+# drives' images and masks.
 _MEASURE: Final = """
 import hashlib, json, sys, time
 from hybridworldsim.simulator.policies.references import LaneKeeping
@@ -37,9 +42,8 @@ from mirror.protocols.suite import list_drives
 count, warm = int(sys.argv[1]), int(sys.argv[2])
 suite = require_suite(load_protocol("closed-loop"))
 drives = [drive for drive in list_drives(suite) if drive.street == suite.streets[-1]]
-seconds, hashes = {}, {}
+hashes = {}
 for width in map(int, sys.argv[3:]):
-    seconds[width] = []
     for drive in drives[:: max(len(drives) // count, 1)][:count]:
         street = open_suite_street(drive.street)
         simulation = start_simulation(street, drive.scenario, ends_off_road=True)
@@ -48,15 +52,16 @@ for width in map(int, sys.argv[3:]):
         policy.reset(simulation.observation_spec({}))
         found, ending = hashlib.sha256(), None
         while ending is None:
+            sys.stdin.readline()
             begin = time.process_time()
             images = renderer.render(simulation.now, suite.cameras)
-            if simulation.now.step >= warm:
-                seconds[width].append(time.process_time() - begin)
+            seconds = time.process_time() - begin
+            print(json.dumps([width, seconds if simulation.now.step >= warm else None]), flush=True)
             for array in (*images.values(), *renderer.agent_masks().values()):
                 found.update(array.tobytes())
             ending = simulation.advance(policy.act(simulation.observe({}, privileged=True)))
         hashes[f"{width}/{drive.folder}"] = found.hexdigest()
-print(json.dumps({"seconds": seconds, "hashes": hashes}))
+print(json.dumps({"hashes": hashes}), flush=True)
 """
 
 
@@ -64,39 +69,68 @@ def main(argv: list[str]) -> int:
     """Run the benchmark; returns 1 if a byte differs or an image takes longer than its bar."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks exact_images", description=__doc__.splitlines()[0])
     parser.add_argument("--drives", type=int, default=6, help="number of drives")
-    parser.add_argument("--repeats", type=int, default=1, help="runs, of which the least median counts")
     parser.add_argument("--against", type=Path, help="another checkout, measured in turns with this one")
     chosen = parser.parse_args(argv)
-    rows = _rows(chosen.drives, chosen.repeats, chosen.against)
+    rows = _rows(chosen.drives, chosen.against)
     return report("exact_images", {"exact images": rows}, errors="drives that differ")
 
 
-def _rows(drives: int, repeats: int, against: Path | None) -> Iterator[Row]:
-    ours, theirs = [], []
-    for _ in range(repeats):
-        if against is not None:
-            theirs.append(_measure(against.resolve(), drives))
-        ours.append(_measure(_ROOT, drives))
+@dataclass(frozen=True)
+class _Measured:
+    """Processor seconds of the images of a checkout by width, in order, and the hash of each drive."""
+
+    seconds: dict[int, list[float]]
+    hashes: dict[str, str]
+
+
+def _rows(drives: int, against: Path | None) -> Iterator[Row]:
+    ours, *others = _measure([_ROOT] if against is None else [_ROOT, against.resolve()], drives)
     for width, bar in _BARS.items():
-        ms, error = _median_ms(ours, width), None
         peers: tuple[Peer, ...] = ()
-        if theirs:
-            names = [name for name in ours[0]["hashes"] if name.startswith(f"{width}/")]
-            error = sum(ours[0]["hashes"][name] != theirs[0]["hashes"].get(name) for name in names)
-            peers = (Peer(str(against), _median_ms(theirs, width)),)
-        size = f"{width}x{width * 9 // 16}, {len(ours[0]['seconds'][str(width)])} images"
-        yield Row("exact image of a street", size, ms, error, peers, "drives", bar, 0.5 if theirs else None)
+        error = None
+        for theirs in others:
+            names = [name for name in ours.hashes if name.startswith(f"{width}/")]
+            error = sum(ours.hashes[name] != theirs.hashes.get(name) for name in names)
+            ratio = statistics.median(map(truediv, ours.seconds[width], theirs.seconds[width]))
+            peers = (Peer(f"{against}, {ratio:.2f} of it", 1e3 * statistics.median(theirs.seconds[width])),)
+        size = f"{width}x{width * 9 // 16}, {len(ours.seconds[width])} images"
+        ms = 1e3 * statistics.median(ours.seconds[width])
+        yield Row("exact image of a street", size, ms, error, peers, "drives", bar, 0.5 if others else None)
 
 
-def _measure(checkout: Path, drives: int) -> dict[str, Any]:
-    done = subprocess.run(
-        [sys.executable, "-c", _MEASURE, str(drives), str(_WARM), *map(str, _BARS)], cwd=checkout, check=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join((str(checkout), str(checkout / "baselines")))},
-        stdout=subprocess.PIPE, text=True,
+def _measure(checkouts: Sequence[Path], drives: int) -> list[_Measured]:
+    """Render the images of each checkout, image by image in turns."""
+    found = [_Measured({width: [] for width in _BARS}, {}) for _ in checkouts]
+    with ExitStack() as stack:
+        children = [stack.enter_context(_start(checkout, drives)) for checkout in checkouts]
+        running = True
+        while running:
+            for child, measured in zip(children, found, strict=True):
+                line = json.loads(_ask(child))
+                if isinstance(line, dict):
+                    measured.hashes.update(line["hashes"])
+                    running = False
+                elif line[1] is not None:
+                    measured.seconds[line[0]].append(line[1])
+    return found
+
+
+def _start(checkout: Path, drives: int) -> subprocess.Popen[str]:
+    paths = os.pathsep.join((str(checkout), str(checkout / "baselines")))
+    return subprocess.Popen(
+        [sys.executable, "-c", _MEASURE, str(drives), str(_WARM), *map(str, _BARS)], cwd=checkout,
+        env=os.environ | {"PYTHONPATH": paths}, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    measured: dict[str, Any] = json.loads(done.stdout)
-    return measured
 
 
-def _median_ms(runs: list[dict[str, Any]], width: int) -> float:
-    return 1e3 * min(statistics.median(run["seconds"][str(width)]) for run in runs)
+def _ask(child: subprocess.Popen[str]) -> str:
+    if child.stdin is None or child.stdout is None:
+        raise RuntimeError("a process without pipes")
+    # The last line is printed without being asked for.
+    with suppress(BrokenPipeError):
+        child.stdin.write("\n")
+        child.stdin.flush()
+    line = child.stdout.readline()
+    if not line:
+        raise RuntimeError(f"the process of a checkout ended with code {child.wait()}")
+    return line

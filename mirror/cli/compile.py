@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, Final
 
 from mirror.command_line import help_text, parse_arguments
+from mirror.devices import CPU
 from mirror.errors import ExitCode, UsageError
 
 _EXAMPLES: Final = ("mirror compile", "mirror compile --cache /opt/mirror-kernels --json")
@@ -112,9 +113,11 @@ def _chains(folder: Path) -> Iterator[list[list[str]]]:
         ["ingest", *drives, *regions, "--licence", "CC0-1.0", "--out", dataset],
     ]
     if has_models:
+        # On a GPU the kernels would not be called.
+        training = ["--split", "novel", "--steps", str(_STEPS), "--device", CPU]
         chain += [
             ["split", dataset, "novel", "--train", "1", "--held-out-traversals", "1"],
-            ["reconstruct", dataset, "--split", "novel", "--steps", str(_STEPS), "--out", str(folder / "model")],
+            ["reconstruct", dataset, *training, "--out", str(folder / "model")],
             ["baseline", dataset, "--method", "nearest_frame", "--split", "novel", "--out", str(folder / "renders")],
             ["evaluate", dataset, str(folder / "renders"), "--workers", "1", "--out", str(folder / "results")],
         ]

@@ -12,13 +12,14 @@ import tyro
 
 from mirror.command_line import help_text, parse_arguments, parse_settings
 from mirror.counting import count_of
-from mirror.devices import AUTO, choose_device
+from mirror.devices import AUTO, Device, choose_device, require_device_name
 from mirror.errors import ExitCode, UsageError
 from mirror.executors.arguments import ExecutorArguments
 from mirror.plugins import is_file_reference
 
 if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
+    from mirror.methods.capabilities import Capabilities
     from mirror.methods.plugin import ReconstructionResult
 
 _EXAMPLES = (
@@ -133,14 +134,8 @@ def main(argv: Sequence[str]) -> int:
         executor = None if chosen.kind == "serial" else chosen
     elif arguments.workers is not None:
         raise UsageError("--workers without --executor", place="--workers", expected="--executor processes or ray")
-    label, asked = f"method {method_label(arguments.method)}", _named_devices(arguments)
-    devices = [
-        choose_device(name, label, takes_device=capabilities.takes_device, splats=capabilities.rasterizes)
-        for name in asked
-    ]
+    devices = _choose_devices(arguments, f"method {method_label(arguments.method)}", capabilities)
     device = devices[0]
-    if len({one.is_cuda for one in devices}) > 1:
-        raise UsageError(arguments.devices or "", place="--devices", expected="devices of one kind")
     defaults = training_defaults(device.name)
     has_budget = arguments.minutes is not None or arguments.steps is not None
     if not arguments.json:
@@ -198,17 +193,31 @@ def main(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
-def _named_devices(arguments: Arguments) -> list[str]:
-    """The devices that are asked for, as torch names them.
+def _choose_devices(arguments: Arguments, subject: str, capabilities: Capabilities) -> list[Device]:
+    """Choose the devices that train: that of ``--device``, or those of ``--devices``.
 
     Raises:
-        UsageError: both options are given.
+        UsageError: both options are given, a device cannot be used, or the devices are of two kinds.
     """
+
+    def choose(name: str) -> Device:
+        return choose_device(name, subject, takes_device=capabilities.takes_device, splats=capabilities.rasterizes)
+
     if arguments.devices is None:
-        return [arguments.device]
+        return [choose(arguments.device)]
     if arguments.device != AUTO:
         raise UsageError("--device and --devices exclude each other", expected="one of them, or neither")
-    return [f"cuda:{name}" if name.isdecimal() else name for name in arguments.devices.split(",")]
+    names = [f"cuda:{name}" if name.isdecimal() else name for name in arguments.devices.split(",")]
+    try:
+        for name in names:
+            require_device_name(name)
+        devices = [choose(name) for name in names]
+    except UsageError as error:
+        error.place, error.remedy = f"--devices {arguments.devices}", f"{error.remedy}, in place of --devices"
+        raise
+    if len({one.is_cuda for one in devices}) > 1:
+        raise UsageError(arguments.devices, place="--devices", expected="devices of one kind")
+    return devices
 
 
 def _scene(dataset: Dataset, split: str, requested: str | None) -> str:

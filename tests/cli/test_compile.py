@@ -39,6 +39,20 @@ def test_a_cache_that_cannot_be_written_and_no_workers_are_refused(
     assert "compiling" not in said
 
 
+def test_kernels_of_the_cpu_are_compiled_on_a_machine_with_a_gpu_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verb that trains would take the GPU otherwise, and compile nothing."""
+    commands: list[list[str]] = []
+
+    def run(command: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        commands.append(command)
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert main(["compile", "--workers", "1"]) == 0
+    (training,) = (words for words in commands if "reconstruct" in words)
+    assert training[training.index("--device") + 1] == "cpu"
+
+
 def test_functions_are_compiled_for_small_inputs_only_where_all_are(tmp_path: Path) -> None:
     for more, expected in (({}, "0"), ({COMPILE_ALWAYS: "1"}, "1"), ({}, "1")):
         environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)} | more

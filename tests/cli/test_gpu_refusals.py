@@ -64,6 +64,15 @@ def test_a_device_that_does_not_exist(
 
 
 @pytest.mark.usefixtures("gpu")
+def test_one_of_several_devices_does_not_exist(
+    tiny_dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = require_refused(tiny_dataset, tmp_path, capsys, [*RECONSTRUCT, "--devices", "0,1"])
+    assert "--devices 0,1: no device 'cuda:1'; expected cuda:0" in said
+    assert "--device cuda:0, or --device cpu, in place of --devices" in said
+
+
+@pytest.mark.usefixtures("gpu")
 @pytest.mark.parametrize(
     ("installed", "kernels", "problem", "remedy"),
     [

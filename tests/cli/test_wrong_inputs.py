@@ -232,6 +232,10 @@ reconstruct {d} --split novel --out a --method method.py:METHOD --boxes nope@1
 reconstruct {d} --split novel --out a --method method.py:METHOD --minutes -1
 reconstruct {d} --split novel --out a --method method.py:METHOD --minutes 1 --steps 1
 reconstruct {d} --split novel --out a --method method.py:METHOD --calibrations nope@1
+reconstruct {d} --split novel --out a --device mps => --device: no device 'mps'
+reconstruct {d} --split novel --out a --devices 0,x => --devices 0,x: no device 'x'
+reconstruct {d} --split novel --out a --devices cpu,,cpu => --devices cpu,,cpu: no device ''
+reconstruct {d} --split novel --out a --devices cpu --device cpu => exclude each other
 render {d} model --out a
 render {d} model --split novel --trajectory lane-shift:2 --out a
 render {d} --split novel --out a

@@ -110,7 +110,7 @@ def test_a_recording_states_the_shutters_and_widens_exposures(tmp_path: Path) ->
         ("front=top_to_bottom:30", "no camera 'front'"),
         ("rear=top_to_bottom:30,rear=left_to_right:30", "two shutters of camera rear"),
         ("top_to_bottom:-3", "a readout of '-3'"),
-        ("top_to_bottom:13500", "is read out in 13500 ms"),
+        ("top_to_bottom:25000", "is read out in 25000 ms"),
     ],
 )
 def test_shutters_that_cannot_be_are_refused(text: str, problem: str, tmp_path: Path) -> None:

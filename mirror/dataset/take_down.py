@@ -116,7 +116,10 @@ def take_down(
             remedy="`mirror release withdraw` writes its next version",
         )  # fmt: skip
     if not images:
-        raise UsageError("no image is named", expected="--image TRAVERSAL/CAMERA/TIMESTAMP_NS, or --list FILE")
+        raise UsageError(
+            "no image is named", expected="at least one image",
+            remedy="name them with --image TRAVERSAL/CAMERA/TIMESTAMP_NS or --list FILE",
+        )  # fmt: skip
     if dry_run:
         return _plan(layout, images, reason, purge_originals)
     with (

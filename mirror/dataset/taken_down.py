@@ -59,7 +59,10 @@ def read_image_list(path: Path) -> set[tuple[str, str, int]]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot be read: {error}", file=path, place="--list", expected="a text file") from error
+        raise UsageError(
+            f"cannot be read: {error}", file=path, place="--list", expected="a text file with an image a line",
+            remedy="correct the path",
+        ) from error  # fmt: skip
     numbered = ((number, line.strip()) for number, line in enumerate(lines, 1))
     return {parse_image(line, f"{path}, line {number}") for number, line in numbered if line and line[0] != "#"}
 

@@ -48,7 +48,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("fleet")
     starts = [START_NS, START_NS + 10**13]
     return [
-        write_recording(folder, f"d{number}", start_ns=start_ns, cameras=CAMERAS, seed=number)
+        write_recording(folder, f"d{number}", start_ns=start_ns, speed_mps=11.5, cameras=CAMERAS, seed=number)
         for number, start_ns in enumerate(starts)
     ]
 
@@ -164,7 +164,6 @@ def test_an_image_goes_from_shards_of_redactions_and_publications_and_nothing_el
     ]
     read = [image.read(verify=True) for frame in dataset.frames() for image in frame.images.values()]
     assert len(read) == len(rows) - 1
-    assert found_by_check(root) == findings
 
     # Who asks for a snapshot that had the image gets the reason.
     for number in (1, 2):

@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.calibration.verbs import run_verb
 from benchmarks.report import Row
 from benchmarks.synth_matching.posed_images import urban_drive
 from mirror.arrays import Float64, Int64
@@ -56,11 +57,11 @@ _HEADING_DEG: Final = 2.0
 _SECOND_NS: Final = 1_000_000_000
 
 
-def render_passes(folder: Path) -> None:
-    """Render the images of all passes, each once; a pass that is there is kept."""
+def render_passes(folder: Path, count: int = len(PASSES)) -> None:
+    """Render the images of the first passes, each once; a pass that is there is kept."""
     import cv2
 
-    for number, (name, light, weather, date) in enumerate(PASSES):
+    for number, (name, light, weather, date) in enumerate(PASSES[:count]):
         own = folder / name
         if (own / "truth.npz").is_file():
             continue
@@ -100,33 +101,49 @@ def _worsen(poses: Poses, times: Int64, heading_deg: float, rng: np.random.Gener
     return Poses(rotation, poses.translation + bias + np.cumsum(steps, axis=0))
 
 
-def write_recordings(rendered: Path, out: Path, draw: int) -> None:
-    """Write the passes as recordings with errors that a draw seeds."""
-    for number, (name, light, weather, _) in enumerate(PASSES):
-        truth, said = (
-            np.load(rendered / name / "truth.npz"),
-            json.loads((rendered / name / "calibration.json").read_text()),
-        )
-        rng = np.random.default_rng([draw, number, 7])
-        poses = _worsen(
-            Poses(truth["pose_rotation"], truth["pose_translation"]), truth["times"], _HEADING_DEG * (-1) ** number, rng
-        )
-        frame = TangentFrame(said["longitude_deg"], said["latitude_deg"])
-        longitude, latitude, height = frame.to_geodetic(poses.translation)
-        local = frame.world_R_enu(longitude, latitude)
-        rotation = quaternion_from_matrix(np.swapaxes(local, 1, 2) @ matrix_from_quaternion(poses.rotation))
-        track = Track(truth["times"], longitude, latitude, height_m=height, rotation=rotation)
-        own = out / name
-        shutil.copytree(rendered / name / "images", own / "images" / CAMERA)
-        (own / "poses.csv").write_bytes(encode_poses(track))
-        write_calibrations(own, [Calibration.model_validate(said["calibration"])])
-        document = {
-            "format": "mirror-folder", "version": "1.0", "drive_id": name, "vehicle_id": f"v{number}",
-            "vehicle_type": "saloon", "rig_id": "front", "time_base": "unix_ns", "frame": {"kind": "wgs84"},
-            "reference_camera": CAMERA, "cameras": {CAMERA: {}}, "light": light,
-            "weather": weather,
-        }  # fmt: skip
-        (own / "recording.json").write_text(json.dumps(document))
+def true_track(rendered: Path, name: str) -> tuple[Int64, Poses, TangentFrame]:
+    """Return the exact poses of a pass with their times and frame."""
+    truth, said = np.load(rendered / name / "truth.npz"), _notes(rendered, name)
+    frame = TangentFrame(said["longitude_deg"], said["latitude_deg"])
+    return truth["times"], Poses(truth["pose_rotation"], truth["pose_translation"]), frame
+
+
+def biased_track(rendered: Path, number: int, draw: int) -> tuple[Int64, Poses, TangentFrame]:
+    """Return the poses of a pass with errors that a draw seeds."""
+    times, poses, frame = true_track(rendered, PASSES[number][0])
+    rng = np.random.default_rng([draw, number, 7])
+    return times, _worsen(poses, times, _HEADING_DEG * (-1) ** number, rng), frame
+
+
+def write_recording(rendered: Path, own: Path, number: int, times: Int64, poses: Poses, frame: TangentFrame) -> None:
+    """Write a pass as a recording with these poses."""
+    name, light, weather, _ = PASSES[number]
+    longitude, latitude, height = frame.to_geodetic(poses.translation)
+    local = frame.world_R_enu(longitude, latitude)
+    rotation = quaternion_from_matrix(np.swapaxes(local, 1, 2) @ matrix_from_quaternion(poses.rotation))
+    track = Track(times, longitude, latitude, height_m=height, rotation=rotation)
+    shutil.copytree(rendered / name / "images", own / "images" / CAMERA)
+    (own / "poses.csv").write_bytes(encode_poses(track))
+    write_calibrations(own, [Calibration.model_validate(_notes(rendered, name)["calibration"])])
+    document = {
+        "format": "mirror-folder", "version": "1.0", "drive_id": name, "vehicle_id": f"v{number}",
+        "vehicle_type": "saloon", "rig_id": "front", "time_base": "unix_ns", "frame": {"kind": "wgs84"},
+        "reference_camera": CAMERA, "cameras": {CAMERA: {}}, "light": light,
+        "weather": weather,
+    }  # fmt: skip
+    (own / "recording.json").write_text(json.dumps(document))
+
+
+def ingest_passes(rendered: Path, recordings: Path, dataset: Path) -> None:
+    """Make a dataset of one scene around the middle of the way."""
+    middle = np.load(rendered / PASSES[0][0] / "truth.npz")["translation"].mean(axis=0)
+    frame = true_track(rendered, PASSES[0][0])[2]
+    lon, lat, _ = frame.to_geodetic(middle[None])
+    run_verb("ingest", recordings, "--roi", f"{lon[0]},{lat[0]},70,street", "--min-duration-s", 3, "--out", dataset)
+
+
+def _notes(rendered: Path, name: str) -> Any:
+    return json.loads((rendered / name / "calibration.json").read_text())
 
 
 def relative_errors(
@@ -168,23 +185,18 @@ def align_rows(draws: int, folder: Path) -> Iterator[Row]:
         draws: number of draws of the recorded errors.
         folder: folder of the rendered passes, which are kept.
     """
-    from mirror.cli.main import main
-
     render_passes(folder)
     errors: dict[tuple[str, str], list[tuple[Float64, Float64]]] = {}
     spent = 0.0
     for draw in range(draws):
         work = folder / f"draw-{draw}"
         shutil.rmtree(work, ignore_errors=True)
-        write_recordings(folder, work / "recordings", draw)
-        said: dict[str, Any] = json.loads((folder / "day" / "calibration.json").read_text())
-        middle = np.load(folder / "day" / "truth.npz")["translation"].mean(axis=0)
-        lon, lat, _ = TangentFrame(said["longitude_deg"], said["latitude_deg"]).to_geodetic(middle[None])
-        roi = f"{lon[0]},{lat[0]},70,street"
+        for number, (name, *_) in enumerate(PASSES):
+            write_recording(folder, work / "recordings" / name, number, *biased_track(folder, number, draw))
         dataset = work / "dataset"
-        main(["ingest", str(work / "recordings"), "--roi", roi, "--min-duration-s", "3", "--out", str(dataset)])
+        ingest_passes(folder, work / "recordings", dataset)
         start = time.process_time()
-        main(["align", str(dataset)])
+        run_verb("align", dataset, partly=True)
         spent += time.process_time() - start
         for layer in ("recorded", "aligned@1"):
             found = read_poses(dataset, layer)

@@ -1,9 +1,10 @@
 """Calibration checking and refinement on the synthetic street, compared with injected errors.
 
-``python -m benchmarks calibration [check|refine|gain|scales|shutters|align] [--draws N]``; for ``refine`` see
+``python -m benchmarks calibration [check|refine|gain|scales|shutters|align|poses] [--draws N]``; for ``refine`` see
 `benchmarks.calibration.refinement`, for ``gain`` `benchmarks.calibration.gain`, for ``scales``
 `benchmarks.calibration.scales`, for ``shutters`` `benchmarks.calibration.shutters`, for ``align``
-`benchmarks.calibration.alignment`.
+`benchmarks.calibration.alignment`, for ``align --reconstruct`` `benchmarks.calibration.align_gain`, for ``poses``
+`benchmarks.calibration.pose_errors`.
 Check: drives of three vehicle types by day and by night: 20 frames of 7 cameras on a turn, stored as JPEG, tracked
 once. Then rotation errors of 0.05 to 1.0 degrees are injected into every mounting, and poses, lenses and mounting
 positions get recorded errors, many times. Figures are total angles of the remaining error; the column ``error`` has the
@@ -20,8 +21,10 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.calibration.align_gain import Training, align_gain_rows
 from benchmarks.calibration.alignment import align_rows
 from benchmarks.calibration.gain import gain_rows
+from benchmarks.calibration.pose_errors import pose_rows
 from benchmarks.calibration.recording import (
     DriveTracks,
     choose_instants,
@@ -126,7 +129,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument(
         "what",
         nargs="?",
-        choices=("check", "refine", "gain", "scales", "shutters", "align"),
+        choices=("check", "refine", "gain", "scales", "shutters", "align", "poses"),
         default="check",
         help="default: check",
     )
@@ -136,13 +139,19 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--frames", type=int, default=DEFAULT_CHOICE.frames, help="frames of a refined traversal")
     parser.add_argument("--traversals", type=int, default=1, help="traversals that are refined together")
     parser.add_argument("--data", type=Path, help="working folder of the gain or the alignment")
-    parser.add_argument("--steps", type=int, default=2000, help="training images of each model of the gain")
+    parser.add_argument("--steps", type=int, default=2000, help="training images of each model of a gain")
+    parser.add_argument("--reconstruct", action="store_true", help="compare reconstructions on aligned and exact poses")
     options = parser.parse_args(argv)
     if options.what == "gain":
         return report("calibration_gain", {"gain": gain_rows(options.data or OUT / "calibration_gain", options.steps)})
+    if options.what == "align" and options.reconstruct:
+        gains = align_gain_rows(options.data or OUT / "calibration_align", Training(options.steps))
+        return report("calibration_align_gain", {"reconstruction": gains})
     if options.what == "align":
         rows = align_rows(options.draws, options.data or OUT / "calibration_align")
         return report("calibration_align", {"alignment": rows}, errors="median error")
+    if options.what == "poses":
+        return report("calibration_poses", {"poses": pose_rows(options.data or OUT / "calibration_poses")})
     if options.what == "scales":
         return report("calibration_scales", {"scales": scale_rows(options.draws)}, errors="half width")
     if options.what == "shutters":

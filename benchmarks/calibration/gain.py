@@ -22,23 +22,21 @@ from typing import Any, Final
 import numpy as np
 
 import mirror
+from benchmarks.calibration.verbs import METRICS, run_verb, shorten_protocol
 from benchmarks.report import Row
 from mirror.arrays import Float64
 from mirror.calibration.refinement.adjustment import rotations
 from mirror.calibration.refinement.run import DEFAULT_CHOICE, refine_calibrations
-from mirror.cli.main import main as run_verb
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.traversal import CameraCalibration
-from mirror.errors import DatasetError
 from mirror.evaluation.result import RESULT, Result
 from mirror.evaluation.submission.manifest import MANIFEST
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.methods.model_document import read_reconstruction
-from mirror.protocols.document import load_protocol
 from mirror.schema.files import read_json, write_bytes
 from mirror.schema.tables import CALIBRATIONS
 from mirror.synth.fleet.drives import make_drive
@@ -50,7 +48,6 @@ DRIVES: Final = ("01", "03", "05")
 WIDTH_PX: Final = 240
 INJECTED_DEG: Final = (0.05, 1.0)
 LAYERS: Final = ("injected", "refined", "exact")
-METRICS: Final = ("psnr", "psnr_invariant")
 KEYS: Final = {"training": "psnr", "novel": "psnr_invariant"}
 """The metric that decides in each group."""
 _SEED: Final = 0
@@ -93,12 +90,12 @@ def prepare(folder: Path) -> None:
     """Make the recordings, the dataset, its split and the three layers, as far as they are missing."""
     recordings, dataset = folder / "recordings", folder / "dataset"
     if not (recordings / "rois.geojson").is_file():
-        _run("synth", "--out", recordings, "--preset", PRESET, "--scenes", 1, "--seed", _SEED, "--workers", 1)
+        run_verb("synth", "--out", recordings, "--preset", PRESET, "--scenes", 1, "--seed", _SEED, "--workers", 1)
     if not (dataset / "index" / "snapshots").is_dir():
         drives = [recordings / f"{SCENE}-{number}" for number in DRIVES]
-        _run("ingest", *drives, "--rois", recordings / "rois.geojson", "--out", dataset, "--licence", "CC0-1.0")
+        run_verb("ingest", *drives, "--rois", recordings / "rois.geojson", "--out", dataset, "--licence", "CC0-1.0")
     if not (dataset / "splits" / "novel.json").is_file():
-        _run("split", dataset, "novel", "--train", len(DRIVES) - 1, "--seed", _SEED)
+        run_verb("split", dataset, "novel", "--train", len(DRIVES) - 1, "--seed", _SEED)
     _write_layers(mirror.open(dataset))
     # The models add masks of the sky, which are inputs of a refinement: a complete layer is not asked for again.
     if any(f"calibrations/{_layer('refined')}" not in row for row in _layers_of(mirror.open(dataset))):
@@ -111,13 +108,13 @@ def reconstruct(folder: Path, name: str, steps: int) -> Mapping[tuple[str, str],
     dataset, protocol = folder / "dataset", folder / "protocol.toml"
     model, submission, result = (folder / kind / name for kind in ("models", "submissions", "results"))
     if not protocol.is_file():
-        write_bytes(protocol, _protocol().encode())
+        write_bytes(protocol, shorten_protocol(_PROTOCOL, "calibration-gain", WIDTH_PX).encode())
     if not (result / RESULT).is_file():
         budget = ("--steps", steps, "--seed", _SEED, "--threads", 1, "--width", WIDTH_PX, "--device", "cpu")
         source = ("--initialise", "plane-sweep", "--calibrations", _layer(name))
-        _run("reconstruct", dataset, "--split", "novel", "--scene", SCENE, *budget, *source, "--out", model)
+        run_verb("reconstruct", dataset, "--split", "novel", "--scene", SCENE, *budget, *source, "--out", model)
         if not (submission / MANIFEST).is_file():
-            _run(
+            run_verb(
                 "render",
                 dataset,
                 model,
@@ -130,7 +127,7 @@ def reconstruct(folder: Path, name: str, steps: int) -> Mapping[tuple[str, str],
                 "--out",
                 submission,
             )
-        _run("evaluate", dataset, submission, "--protocol", protocol, "--out", result, "--workers", 1)
+        run_verb("evaluate", dataset, submission, "--protocol", protocol, "--out", result, "--workers", 1)
     figures = read_json(result / RESULT, Result).figures
     return {(one.group, one.metric): one.value for one in figures if one.level == "group" and one.value is not None}
 
@@ -215,21 +212,3 @@ def _calibrations(dataset: Dataset, traversal: str) -> list[CameraCalibration]:
 
 def _layer(name: str) -> str:
     return f"{name}@{_VERSION}"
-
-
-def _protocol() -> str:
-    """The protocol of static reconstruction in the width of the training, by two metrics."""
-    text = (Path(mirror.__file__).parent / "protocols" / "definitions" / f"{_PROTOCOL}.toml").read_text()
-    text, metrics, rest = text.partition("[[metrics]]")
-    text = text.replace(f'name = "{_PROTOCOL}"', 'name = "calibration-gain"')
-    text = text.replace(f"max_width_px = {load_protocol(_PROTOCOL).pixels.max_width_px}", f"max_width_px = {WIDTH_PX}")
-    return (
-        text + "".join(f'{metrics}\nmetric = "{metric}"\n\n' for metric in METRICS) + rest[rest.index("[intervals]") :]
-    )
-
-
-def _run(verb: str, *words: object) -> None:
-    print(f"$ mirror {verb} ...", flush=True)
-    code = run_verb([verb, *map(str, words)])
-    if code:
-        raise DatasetError(f"`mirror {verb}` ended with {code}", expected="0")

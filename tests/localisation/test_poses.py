@@ -13,17 +13,19 @@ import pytest
 from mirror.calibration.refinement.features import ImageFeatures
 from mirror.cli.main import main
 from mirror.errors import ExitCode, UsageError
-from mirror.geometry import Poses, angle_between_deg, quaternion_exp
+from mirror.geometry import Poses, angle_between_deg, quaternion_exp, quaternion_multiply
 from mirror.geometry.poses import COLUMNS
 from mirror.localisation.structure.maps import ImageMap
 from mirror.localisation.structure.placing import keep_roll
+from mirror.localisation.structure.rig_adjustment import adjust_rig
 from mirror.localisation.structure.rig_scale import OtherCamera, scale_from_rig
 from mirror.localisation.structure.road import mean_up, measure_road, mounting_rotation
+from mirror.localisation.structure.road_sweep import sweep_road
 from mirror.localisation.structure.similarity import fit_track
 from mirror.localisation.structure.used_images import UsedImages
 from mirror.recordings.lens_files import write_lens
 from mirror.recordings.registry import open_recording
-from tests.calibration.corridor import LENS, NOMINAL
+from tests.calibration.corridor import LENS, NOMINAL, corridor
 from tests.localisation.phone_drive import IMAGES, START_NS, STEP_NS, drive, mounted
 
 pytest.importorskip("pycolmap")
@@ -175,6 +177,21 @@ def test_the_scale_of_a_rig_survives_an_error_of_the_other_mounting() -> None:
     other = OtherCamera("right", LENS, beside @ error, 0.3, stamps, [one for one, _ in second])
     rig = scale_from_rig(used, found, NOMINAL, [other])
     assert abs(rig.scale * unit - 1.0) < 0.01 and rig.sigma_percent < 1.0
+    # All cameras together: a drift of the map's poses goes, and the map has metres.
+    drift = np.cumsum(rng.normal(0, [0.002, 0.002, 0.002], (12, 3)), axis=0)
+    bent = Poses(
+        quaternion_multiply(quaternion_exp(drift - drift[:1]), small.rotation), small.translation + drift * unit
+    )
+    wrong = world * unit * (1.0 + rng.normal(0, 0.01, (400, 1)))
+    start = ImageMap(np.arange(12), bent, wrong, observed, [LENS], 0.1, SimpleNamespace())
+    whole = adjust_rig(used, start, rig.scale, rig.seen)
+    origin = np.zeros(12, np.int64)
+    before, after, truth = (one[origin].inverse() @ one for one in (bent, whole.world_SE3_camera, cameras))
+    assert np.median(angle_between_deg(before.rotation, truth.rotation)) > 0.2
+    assert np.median(angle_between_deg(after.rotation, truth.rotation)) < 0.02
+    assert np.linalg.norm(after.translation - truth.translation, axis=1).max() < 0.05
+    # Rays far from the axis have no place in an ideal camera.
+    assert 0.9 < sum(len(one.points) for one in rig.seen) / sum(rig.rays.values()) <= 1.0
     far = ImageMap(np.arange(12), small, world * unit, [(own[:2], own[:2]) for own, _ in observed], [LENS], 0.1, None)
     with pytest.raises(UsageError, match="points of the map"):
         scale_from_rig(used, far, NOMINAL, [other])
@@ -200,3 +217,26 @@ def test_an_adjustment_to_a_straight_way_keeps_the_roll() -> None:
     assert angle_between_deg(kept.rotation, straight.rotation).max() < 0.01
     off = kept.translation - rolled.translation
     assert np.linalg.norm(off - off.mean(axis=0), axis=1).max() < 0.1
+
+
+@pytest.mark.parametrize("height_m", [1.6, 1.2])
+def test_the_road_is_found_in_images_whose_map_has_no_point_of_it(height_m: float) -> None:
+    ego = drive(14)
+    lifted = Poses(NOMINAL.rotation, NOMINAL.translation + np.array([[0.0, 0.0, height_m - 1.6]]))
+    cameras = ego @ lifted[np.zeros(14, np.int64)]
+    unit, up = 0.3, np.array([0.0, 0.0, 1.0])
+    small = Poses(cameras.rotation, cameras.translation * unit)
+
+    def read(row: int) -> tuple[np.ndarray, np.ndarray]:
+        data = np.frombuffer(corridor(cameras[np.array([row])]), np.uint8)
+        return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)), np.ones((300, 400), np.bool_)
+
+    found = sweep_road(small, up, LENS, read)
+    assert found is not None and found.points >= 8
+    assert abs(found.height / unit / height_m - 1.0) < 0.01
+    assert found.sigma < 0.01 * found.height
+    # Where the road is hidden, or the images show nothing alike, there is none.
+    assert sweep_road(small, up, LENS, lambda row: (read(row)[0], np.zeros((300, 400), np.bool_))) is None
+    rng = np.random.default_rng(5)
+    noise = [rng.integers(0, 255, (300, 400), np.uint8) for _ in range(14)]
+    assert sweep_road(small, up, LENS, lambda row: (noise[row], np.ones((300, 400), np.bool_))) is None

@@ -146,7 +146,7 @@ def ideal_camera(lens: Camera) -> Camera:
     return Camera("pinhole", lens.width_px, lens.height_px, across, tall, lens.cx_px, lens.cy_px)
 
 
-def _to_ideal(features: ImageFeatures, lens: Camera | None) -> tuple[Float64, Int64]:
+def to_ideal(features: ImageFeatures, lens: Camera | None) -> tuple[Float64, Int64]:
     """Return the positions (K, 2) of features in the ideal camera, and the features (K,) that it has."""
     if lens is None:
         return features.uv_px, np.arange(len(features), dtype=np.int64)
@@ -164,7 +164,7 @@ def _write_database(
     database = pycolmap.Database.open(file)
     cameras, rigs = [], []
     for lens, size in zip(images.lenses, images.sizes_px):
-        camera = _to_pycolmap(lens, size)
+        camera = to_pycolmap(lens, size)
         camera.camera_id = database.write_camera(camera)
         rig = pycolmap.Rig()
         rig.add_ref_sensor(camera.sensor_id)
@@ -172,7 +172,7 @@ def _write_database(
         rigs.append(database.write_rig(rig))
     places, kept, ids = [], [], []
     for number, (features, own) in enumerate(zip(images.features, images.camera.tolist())):
-        uv, shown = _to_ideal(features, images.lenses[own])
+        uv, shown = to_ideal(features, images.lenses[own])
         image = pycolmap.Image(name=f"{number:08d}", camera_id=cameras[own].camera_id)
         image.image_id = database.write_image(image)
         frame = pycolmap.Frame()
@@ -206,7 +206,8 @@ def _part(features: ImageFeatures, own: Int64) -> ImageFeatures:
     return ImageFeatures(features.uv_px[own], features.scale_px[own], features.descriptors[own])
 
 
-def _to_pycolmap(lens: Camera | None, size: tuple[int, int]) -> Any:
+def to_pycolmap(lens: Camera | None, size: tuple[int, int]) -> Any:
+    """Return pycolmap's camera: the ideal one of a lens, or the first guess of an unknown one."""
     import pycolmap
 
     raster = {"width": size[0], "height": size[1]}

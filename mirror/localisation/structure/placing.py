@@ -29,8 +29,10 @@ from mirror.localisation.structure.inputs import DriveInputs
 from mirror.localisation.structure.maps import ImageMap, read_poses
 from mirror.localisation.structure.prior_adjustment import adjust_to_track
 from mirror.localisation.structure.report import PartReport, describe_part
-from mirror.localisation.structure.rig_scale import OtherCamera, scale_from_rig
+from mirror.localisation.structure.rig_adjustment import adjust_rig
+from mirror.localisation.structure.rig_scale import OtherCamera, RigScale, scale_from_rig
 from mirror.localisation.structure.road import RoadHeight, mean_up, measure_road, mounting_rotation
+from mirror.localisation.structure.road_sweep import GreyImage, sweep_road
 from mirror.localisation.structure.similarity import LEAST_FIXES, Similarity, fit_flat, fit_track, rotation_between
 from mirror.localisation.structure.track_fixes import TrackFixes
 from mirror.localisation.structure.used_images import StaticPixels, UsedImages, mid_exposure_ns, read_grey
@@ -43,6 +45,7 @@ from mirror.recordings.time import SECOND_NS
 _SAME_ERROR_S: Final = 10.0
 """Fixes share their errors for about this time."""
 _OTHER_IMAGES: Final = 40
+_RIG_ROUNDS: Final = 1
 
 
 class PartPlacer:
@@ -66,7 +69,13 @@ class PartPlacer:
         Raises:
             UsageError: the scale, or the height of a camera of unknown mounting, cannot be found.
         """
-        recorded = self.inputs.camera.ego_SE3_camera
+        recorded, rig = self.inputs.camera.ego_SE3_camera, None
+        if self.inputs.scale == "rig":
+            others = self._other_cameras(images, part)
+            for _ in range(_RIG_ROUNDS):
+                # The map has metres from here on; errors of the mountings are found again in the better map.
+                rig = scale_from_rig(images, part, self._mounting(), others)
+                part = adjust_rig(images, part, rig.scale, rig.seen)
         if recorded is None:
             turn = mounting_rotation(part.world_SE3_camera)
         else:
@@ -74,8 +83,10 @@ class PartPlacer:
         up = mean_up(part.world_SE3_camera, turn)
         seen = np.unique(np.concatenate([points for points, _ in part.observed]))
         road = measure_road(part.world_SE3_camera, up, part.points[seen])
+        if road is None:
+            road = self._sweep_road(images, part, up)
         stamps = images.time_ns[part.used]
-        scale, words, sigma = self._find_scale(images, part, road)
+        scale, words, sigma = self._find_scale(images, part, road, rig)
         mounting = recorded
         if mounting is None:
             height = self._camera_height(images, part, road, scale, up)
@@ -111,7 +122,7 @@ class PartPlacer:
         return self._derive(images, part, name, track, mounting, recorded is not None), report
 
     def _find_scale(
-        self, images: UsedImages, part: ImageMap, road: RoadHeight | None
+        self, images: UsedImages, part: ImageMap, road: RoadHeight | None, rig: RigScale | None
     ) -> tuple[float, str, float | None]:
         """Return metres per unit (0: the track gives them), the source in words, and its 1-sigma in percent."""
         options = self.options
@@ -121,10 +132,9 @@ class PartPlacer:
             places = part.world_SE3_camera.translation
             way = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
             return (options.length_m or 0.0) / way, f"given length of {options.length_m} m", None
-        if self.inputs.scale == "rig":
-            rig = scale_from_rig(images, part, self._mounting(), self._other_cameras(images, part))
+        if rig is not None:
             rays = ", ".join(f"{count} of {name}" for name, count in rig.rays.items())
-            return rig.scale, f"rig: rays of other cameras: {rays}", rig.sigma_percent
+            return 1.0, f"rig: rays of other cameras: {rays}", rig.sigma_percent
         height = options.camera_height_m
         words = f"given height of the camera, {height} m"
         if height is None:
@@ -166,6 +176,23 @@ class PartPlacer:
         level = Poses(quaternion_from_matrix(mounting_rotation(part.world_SE3_camera)[None]), np.zeros((1, 3)))
         placed = self._lay_on_track(part, images.time_ns[part.used], up, level)
         return road.height * placed.similarity.scale if placed is not None else road.height
+
+    def _sweep_road(self, images: UsedImages, part: ImageMap, up: Float64) -> RoadHeight | None:
+        """Measure the road where its features are too few, in the images themselves."""
+        camera = self.inputs.camera
+        mounted = None
+        if camera.lens is not None and camera.ego_SE3_camera is not None:
+            mounted = camera.lens, camera.ego_SE3_camera
+        still = StaticPixels(self.inputs.recording, camera.info, mounted, self.options.masks)
+        stream = self.inputs.streams[camera.info.name]
+
+        def read(row: int) -> GreyImage:
+            index = int(images.index[part.used[row]])
+            ((_, data),) = stream.read([index])
+            grey = read_grey(data, f"camera {camera.info.name}, image {index}")
+            return grey, still.mark_static(int(images.time_ns[part.used[row]]), grey.shape)
+
+        return sweep_road(part.world_SE3_camera, up, part.lens, read)
 
     def _other_cameras(self, images: UsedImages, part: ImageMap) -> list[OtherCamera]:
         """Read images of the other cameras, evenly over the part."""

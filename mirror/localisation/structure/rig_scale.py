@@ -6,8 +6,8 @@ exposures and from their mountings; one scale fits all their rays. Errors of the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
@@ -17,13 +17,16 @@ from mirror.calibration.refinement.features import ImageFeatures, match_features
 from mirror.errors import UsageError
 from mirror.geometry import Poses, interpolate, matrix_from_quaternion, quaternion_exp
 from mirror.geometry.cameras import Camera
-from mirror.localisation.structure.maps import ImageMap
+from mirror.localisation.structure.maps import ImageMap, to_ideal
+from mirror.localisation.structure.rig_adjustment import SeenByOther
 from mirror.localisation.structure.used_images import UsedImages
 
 LEAST_RAYS: Final = 60
 _WILD_DEG: Final = 3.0
 _SIGMA_DEG: Final = 0.05
 _WORST_PERCENT: Final = 5.0
+_NEAR: Final = 0.25
+"""Images of other cameras join the adjustment within this share of the step between mapped images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,21 +58,29 @@ class RigScale:
         scale: metres per unit of the map.
         sigma_percent: 1-sigma, percent.
         rays: number of rays of other cameras, by camera.
+        seen: the images of the other cameras with the points that they show, for an adjustment of the whole rig.
     """
 
     scale: float
     sigma_percent: float
     rays: dict[str, int]
+    seen: Sequence[SeenByOther]
 
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """Rays of one other camera: in the camera's frame, and the map's points and camera places that they belong to."""
+    """Rays of one other camera: in the camera's frame, and the map's points and camera places that they belong to.
+
+    ``image``, ``feature`` and ``point`` are the numbers of what each ray comes from.
+    """
 
     ray: Float64
     turn: Float64
     unit: Float64
     metres: Float64
+    image: Int64
+    feature: Int64
+    point: Int64
 
 
 def scale_from_rig(
@@ -124,7 +135,36 @@ def scale_from_rig(
             expected=f"within {_WORST_PERCENT:.0f} %",
             remedy="take the scale from elsewhere: --scale height --camera-height-m METRES, or --length-m METRES",
         )  # fmt: skip
-    return RigScale(float(np.exp(best.x[0])), sigma, {name: len(one.ray) for name, one in gathered.items()})
+    scale, seen = float(np.exp(best.x[0])), list[SeenByOther]()
+    for number, other in enumerate(one for one in others if one.name in gathered):
+        turn = quaternion_exp(best.x[None, 1 + 3 * number : 4 + 3 * number])
+        mounted = ego_SE3_camera.inverse() @ other.ego_SE3_camera @ Poses(turn, np.zeros((1, 3)))
+        seen += _find_seen(images, found, scale, mounted, other, gathered[other.name])
+    return RigScale(scale, sigma, {name: len(one.ray) for name, one in gathered.items()}, seen)
+
+
+def _find_seen(
+    images: UsedImages, found: ImageMap, scale: float, mapped_SE3_other: Poses, other: OtherCamera, rays: _Rays
+) -> Iterator[SeenByOther]:
+    """Yield what the images of another camera show of the map; those far from every mapped image in time are left out.
+
+    Between mapped images the vehicle is taken to move evenly.
+    """
+    stamps = images.time_ns[found.used]
+    metric = Poses(found.world_SE3_camera.rotation, found.world_SE3_camera.translation * scale)
+    near = _NEAR * float(np.median(np.diff(stamps)))
+    for number in np.unique(rays.image).tolist():
+        frame = int(np.abs(stamps - other.time_ns[number]).argmin())
+        if abs(int(stamps[frame]) - int(other.time_ns[number])) > near:
+            continue
+        own = rays.image == number
+        placed = interpolate(stamps, metric, other.time_ns[number : number + 1]) @ mapped_SE3_other
+        uv, kept = to_ideal(other.features[number], other.lens)
+        place = np.full(len(other.features[number]), -1, np.int64)
+        place[kept] = np.arange(len(kept))
+        rows = place[rays.feature[own]]
+        frame_SE3_other = metric[frame : frame + 1].inverse() @ placed
+        yield SeenByOther(frame, frame_SE3_other, other.lens, uv[rows[rows >= 0]], rays.point[own][rows >= 0])
 
 
 def _likely_scales(rays: Sequence[_Rays]) -> Float64:
@@ -148,7 +188,7 @@ def _gather(images: UsedImages, found: ImageMap, ego_SE3_camera: Poses, other: O
     inside = np.flatnonzero((other.time_ns >= stamps[0]) & (other.time_ns <= stamps[-1]))
     mapped_SE3_other = ego_SE3_camera.inverse() @ other.ego_SE3_camera
     between = interpolate(stamps, found.world_SE3_camera, other.time_ns[inside])
-    ray, turn, unit, metres = [], [], [], []
+    ray, turn, unit, metres, sources = [], [], [], [], []
     for row, number in enumerate(inside.tolist()):
         pose = between[np.array([row])]
         turned = matrix_from_quaternion(pose.rotation)[0]
@@ -167,13 +207,17 @@ def _gather(images: UsedImages, found: ImageMap, ego_SE3_camera: Poses, other: O
         direction = other.lens.unproject(other.features[number].uv_px[own[:, 1]]).direction
         valid = np.isfinite(direction).all(axis=1)
         ray.append(direction[valid])
+        sources.append(np.column_stack([np.full(int(valid.sum()), number), own[valid, 1], own[valid, 0]]))
         whole = turned @ matrix_from_quaternion(mapped_SE3_other.rotation)[0]
         turn.append(np.broadcast_to(whole, (int(valid.sum()), 3, 3)))
         unit.append(found.points[own[valid, 0]] - pose.translation)
         metres.append(np.broadcast_to(turned @ mapped_SE3_other.translation[0], (int(valid.sum()), 3)))
     if not ray:
         return None
-    joined = _Rays(np.concatenate(ray), np.concatenate(turn), np.concatenate(unit), np.concatenate(metres))
+    joined = _Rays(
+        np.concatenate(ray), np.concatenate(turn), np.concatenate(unit), np.concatenate(metres),
+        *np.concatenate(sources).astype(np.int64).T,
+    )  # fmt: skip
     # A wrong match is far from every point of its epipolar line: from that of infinite scale and of the nearest.
     world = np.einsum("nij,nj->ni", joined.turn, joined.ray)
     plane = np.cross(joined.unit, joined.metres)
@@ -182,4 +226,4 @@ def _gather(images: UsedImages, found: ImageMap, ego_SE3_camera: Poses, other: O
         off = np.degrees(np.arcsin(np.clip(np.abs(np.einsum("ni,ni->n", world, plane)) / length, 0.0, 1.0)))
     ahead = np.einsum("ni,ni->n", world, joined.unit) > 0.0
     kept = np.flatnonzero((off < _WILD_DEG) & ahead)
-    return _Rays(joined.ray[kept], joined.turn[kept], joined.unit[kept], joined.metres[kept])
+    return _Rays(*(getattr(joined, name.name)[kept] for name in fields(_Rays)))

@@ -341,7 +341,10 @@ def test_blocks_are_shared_out(
 def test_blocks_train_on_several_devices_as_on_one(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two processes on the CPU; the method of shorter blocks is in a file, and pickled by what it is made of."""
+    """Two processes on the CPU; the method of shorter blocks is in a file, and pickled by what it is made of.
+
+    The executor has one process more: that several share items is tested in tests/executors.
+    """
     (tmp_path / "short.py").write_text(
         "from dataclasses import replace\n"
         "from hybridworldsim.methods.street import METHOD as STREET\n"
@@ -355,7 +358,7 @@ def test_blocks_train_on_several_devices_as_on_one(
         del words[place : place + 2]
     several = said(capsys, *words, "--devices", "cpu,cpu")
     apart = said(capsys, *words[: words.index("--out") + 1], tmp_path / "apart", *words[words.index("--out") + 2 :],
-                 "--executor", "processes", "--workers", 2)  # fmt: skip
+                 "--executor", "processes", "--workers", 1)  # fmt: skip
     assert apart["blocks"] == one["blocks"]
     assert len(one["blocks"]) > 1 and several["blocks"] == one["blocks"] and several["steps"] == one["steps"]
     for name in one["blocks"]:

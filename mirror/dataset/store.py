@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, TypeVar
@@ -27,6 +29,21 @@ S3_OPTIONS: Final = {"max_concurrency": 1}
 """Options of the file system for S3: with several ranges at a time, reading an object asks for its size first."""
 _PIECE: Final = 1 << 20
 _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """What a store says of a file without reading it.
+
+    Attributes:
+        bytes: its size.
+        modified_s: when it was written last, seconds since the Unix epoch; None: the store does not say.
+        etag: the tag that its store gave to its bytes, without quotation marks; None: the store gives none.
+    """
+
+    bytes: int
+    modified_s: float | None = None
+    etag: str | None = None
 
 
 class ReadError(Exception):
@@ -198,6 +215,19 @@ class Store:
             PurePosixPath(item["name"].rstrip("/")).name for item in listed if (item["type"] == "directory") == folders
         )
 
+    def list_tree(self, path: str) -> dict[str, StoredFile]:
+        """List all files below a remote folder, by their path relative to the root; a thousand come in one request."""
+        if self.folder is not None:
+            raise UsageError("a folder is walked, not listed", file=self.root)
+        full = self._remote_path(path) if path else self._remote[1]
+        self._remote[0].invalidate_cache(full)
+        try:
+            found = self._remote[0].find(full, detail=True)
+        except (FileNotFoundError, NotADirectoryError):
+            return {}
+        start = len(self._remote_path(""))
+        return {name[start:]: _describe(entry) for name, entry in sorted(found.items())}
+
     def list_folders_of(self, paths: Sequence[str]) -> dict[str, list[str]]:
         """List the names of the folders in several folders, by path; see `list_folders`.
 
@@ -330,6 +360,16 @@ def unreadable_error(file: str, error: BaseException) -> SchemaError:
         file=file,
         expected="a complete Parquet file",
         remedy=_REMEDY,
+    )
+
+
+def _describe(entry: Mapping[str, Any]) -> StoredFile:
+    written = entry.get("LastModified", entry.get("created"))
+    etag = entry.get("ETag")
+    return StoredFile(
+        int(entry["size"]),
+        written.timestamp() if isinstance(written, datetime) else None,
+        None if etag is None else str(etag).strip('"'),
     )
 
 

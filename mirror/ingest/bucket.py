@@ -7,10 +7,12 @@ those that are done: the index is derived from them at the end.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from mirror.dataset.destination import BucketDestination
 from mirror.dataset.index import append_drives
+from mirror.dataset.index.table_copy import copy_drives
 from mirror.dataset.layout import Layout, complete_manifest
 from mirror.errors import DatasetError, UsageError
 from mirror.ingest.request import IngestOptions
@@ -102,6 +104,21 @@ def commit_plan(destination: BucketDestination, settings: IngestSettings, scratc
     destination.require_conditional_puts(_PLAN[0], (scratch.root / _PLAN[0]).read_bytes())
 
 
+def append_committed(destination: BucketDestination, scratch: Layout, drives: Sequence[str]) -> None:
+    """Add drives that jobs committed to the index, which is derived from their tables.
+
+    Args:
+        destination: the dataset.
+        scratch: a folder of this machine, into which the tables are copied.
+        drives: the drives.
+
+    Raises:
+        DatasetError: the bucket cannot be read or written.
+    """
+    copy_drives(destination.store, scratch, drives)
+    append_drives(scratch, drives, destination=destination)
+
+
 def refuse_options_of_folders(options: IngestOptions, out: str) -> None:
     """Refuse what replaces files, which a bucket never does.
 
@@ -112,7 +129,6 @@ def refuse_options_of_folders(options: IngestOptions, out: str) -> None:
         "--replace": options.replace,
         "--map": bool(options.maps),
         "--verify": options.verify,
-        "--executor": options.executor is not None,
         "--retry-failed": options.retry_failed,
     }
     for name, is_given in given.items():

@@ -3,17 +3,21 @@
 The plan has what all drives share: ``dataset.json``, the scenes, the rigs, and which recording has which drive id. A
 job judges one recording, makes its drive in a folder of its own and commits it file by file, each name once; it returns
 numbers. Of two attempts at a drive, however late one of them wakes up, both commit the same bytes.
+
+A dataset in a bucket is written in the same way: the folder is then one of the machine of the job.
 """
 
 from __future__ import annotations
 
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
 
+from mirror.dataset.destination import BucketDestination, FolderDestination
 from mirror.dataset.images.binary_mask import encode_mask
 from mirror.dataset.layout import Layout, complete_manifest
 from mirror.dataset.lock import adding
@@ -41,7 +45,6 @@ from mirror.ingest.trigger import RoiTrigger
 from mirror.progress import ProgressReporter
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.registry import open_recording
-from mirror.schema.commit import commit_bytes
 from mirror.schema.documents import Rig
 from mirror.schema.files import encode_json, read_json, write_json
 
@@ -88,14 +91,41 @@ class DriveSettings:
     """The settings that all jobs of a run are given.
 
     Attributes:
-        root: folder of the dataset.
+        root: folder of the dataset; of one in a bucket, a folder of the machine that began the run.
         options: of the run.
         settings: of the run.
+        bucket: the dataset, if it is in a bucket.
     """
 
     root: Path
     options: IngestOptions
     settings: IngestSettings
+    bucket: BucketDestination | None = None
+
+    @property
+    def store(self) -> Store:
+        """The dataset, for reading."""
+        return Store(self.root) if self.bucket is None else self.bucket.store
+
+    @contextmanager
+    def layout(self) -> Iterator[Layout]:
+        """Open the folder in which a job makes its drive, laid out like a dataset."""
+        if self.bucket is None:
+            yield Layout(self.root)
+            return
+        # What a killed worker leaves goes with the folder of the run, where that is on this machine.
+        base = self.root if self.root.is_dir() else None
+        with tempfile.TemporaryDirectory(prefix=f"{JOB}-", dir=base) as folder:
+            yield Layout(Path(folder))
+
+    @contextmanager
+    def committing(self, layout: Layout) -> Iterator[None]:
+        """Keep runs from replacing files of the dataset meanwhile; nothing in a bucket is replaced."""
+        if self.bucket is not None:
+            yield
+            return
+        with adding(layout):
+            yield
 
 
 class WorkersRun:
@@ -108,6 +138,7 @@ class WorkersRun:
         progress: receives the number of drives and images.
         settings: of the run.
         report: takes what the run comes to.
+        bucket: the dataset, if it is in a bucket; the folder then has its document, its scenes and its rigs.
 
     Attributes:
         committed: ids of the drives that it committed.
@@ -124,6 +155,7 @@ class WorkersRun:
         progress: ProgressReporter,
         settings: IngestSettings,
         report: IngestReport,
+        bucket: BucketDestination | None = None,
     ) -> None:
         if options.replace:
             raise UsageError(
@@ -133,7 +165,8 @@ class WorkersRun:
         self.layout, self.settings, self.report = layout, settings, report
         self.committed: list[str] = []
         self._executor, self._options, self._progress = executor, options, progress
-        sent = DriveSettings(layout.root.absolute(), options, settings)
+        self._bucket = bucket
+        sent = DriveSettings(layout.root.absolute(), options, settings, bucket)
         # One job has both steps, so that its workers are started once.
         self._job: ParallelJob[tuple[_Step[Any], Path], Any] = ParallelJob(
             _make_steps, (sent,), timeout_s=options.timeout_s
@@ -223,6 +256,16 @@ class WorkersRun:
             raise conflicting_rig_error(path, identity.rig.rig_id)
 
     def _commit_plan(self, identities: Sequence[DriveIdentity], rigs: Mapping[str, DriveIdentity]) -> None:
+        if self._bucket is None:
+            self._write_documents(identities)
+        place = self._bucket or FolderDestination(self.layout.root)
+        for identity in rigs.values():
+            if identity.rig is not None and not self.layout.rig(identity.rig.rig_id).exists():
+                for name, data in identity.masks.items():
+                    place.commit_bytes(f"rigs/{name}", data)
+                place.commit_bytes(f"rigs/{identity.rig.rig_id}.json", encode_json(identity.rig))
+
+    def _write_documents(self, identities: Sequence[DriveIdentity]) -> None:
         document = self.settings.document
         if not self.layout.document.exists():
             licences = {one.licence for one in identities}
@@ -232,11 +275,6 @@ class WorkersRun:
         self.report.licence = document.licence
         if not self.layout.rois.exists() or tuple(read_rois(self.layout.rois)) != self.settings.rois:
             write_rois(self.layout.rois, self.settings.rois)
-        for identity in rigs.values():
-            if identity.rig is not None and not self.layout.rig(identity.rig.rig_id).exists():
-                for name, data in identity.masks.items():
-                    commit_bytes(self.layout.root / "rigs" / name, data)
-                commit_bytes(self.layout.rig(identity.rig.rig_id), encode_json(identity.rig))
 
 
 def remove_dead_folders(layout: Layout) -> None:
@@ -260,7 +298,7 @@ class _DriveMaker(NamedTuple):
 
 
 def _make_steps(sent: DriveSettings) -> Callable[[tuple[_Step[Any], Path]], Any]:
-    maker = _DriveMaker(sent, sent.settings.trigger(), KnownDrives.read(Store(sent.root)))
+    maker = _DriveMaker(sent, sent.settings.trigger(), KnownDrives.read(sent.store))
 
     def do(item: tuple[_Step[Any], Path]) -> Any:
         step, path = item
@@ -288,7 +326,12 @@ def _identify(maker: _DriveMaker, path: Path) -> DriveIdentity:
 
 def _ingest(maker: _DriveMaker, path: Path) -> DriveOutcome:
     """Judge a recording and commit its drive."""
-    layout, options, settings = Layout(maker.sent.root), maker.sent.options, maker.sent.settings
+    with maker.sent.layout() as layout:
+        return _make_drive(maker, path, layout)
+
+
+def _make_drive(maker: _DriveMaker, path: Path, layout: Layout) -> DriveOutcome:
+    options, settings = maker.sent.options, maker.sent.settings
     prepared = prepare(path, layout, options, settings, maker.trigger, maker.known)
     drive = prepared.drive
     if drive is None:
@@ -314,8 +357,8 @@ def _ingest(maker: _DriveMaker, path: Path) -> DriveOutcome:
                 write_traversal(staging, drive, number, roi, settings.configuration, options.write, 1, lambda _: None)
             )
         seal_drive(staging, drive, sorted(settings.scenes), settings.configuration, options.weather_plugin)
-        with adding(layout):
-            staging.commit()
+        with maker.sent.committing(layout):
+            staging.commit(maker.sent.bucket)
     finally:
         staging.close(done=True)
     return DriveOutcome(prepared.drive_id, report, tuple(written), prepared.images)

@@ -25,7 +25,7 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.lock import adding, replacing, writer_lock
 from mirror.errors import UsageError
 from mirror.executors.choice import ExecutorChoice
-from mirror.ingest.bucket import BucketStaging, commit_plan, fetch_plan, refuse_options_of_folders
+from mirror.ingest.bucket import BucketStaging, append_committed, commit_plan, fetch_plan, refuse_options_of_folders
 from mirror.ingest.dead_letters import list_dead_letters, read_dead_letters, write_dead_letters
 from mirror.ingest.jobs import WorkersRun, remove_dead_folders
 from mirror.ingest.known_drives import KnownDrives
@@ -169,9 +169,17 @@ def _ingest_into_bucket(
         known = KnownDrives.read(destination.store) if scratch.document.exists() else KnownDrives()
         run = LocalRun(scratch, options, progress, settings, known)
         if options.dry_run:
-            run.work(recordings)
+            if options.executor is None:
+                run.work(recordings)
+            else:
+                _work_by_jobs(run, recordings, options.executor, destination)
             return run.report
         commit_plan(destination, settings, scratch)
+        if options.executor is not None:
+            committed = _work_by_jobs(run, recordings, options.executor, destination)
+            run.report.licence = settings.document.licence
+            append_committed(destination, scratch, committed)
+            return run.report
         staging = BucketStaging(scratch, destination)
         run.work(recordings, staging)
         run.report.licence = settings.document.licence
@@ -260,10 +268,12 @@ def _write_drives(run: LocalRun, recordings: Sequence[Path]) -> None:
         staging.close(done=done)
 
 
-def _work_by_jobs(run: LocalRun, recordings: Sequence[Path], choice: ExecutorChoice) -> list[str]:
+def _work_by_jobs(
+    run: LocalRun, recordings: Sequence[Path], choice: ExecutorChoice, bucket: BucketDestination | None = None
+) -> list[str]:
     """Let jobs make and commit the drives, and return the ids of those that this run committed."""
     with choice.open() as executor:
-        jobs = WorkersRun(run.layout, executor, run.options, run.progress, run.settings, run.report)
+        jobs = WorkersRun(run.layout, executor, run.options, run.progress, run.settings, run.report, bucket)
         try:
             jobs.write(jobs.plan(recordings))
         finally:

@@ -113,10 +113,13 @@ class Staging:
         """Return the ids of the complete drives that the dataset has too: it has them damaged."""
         return [name for name in self.layout.drive_ids() if (self.dataset.drive(name) / MANIFEST).exists()]
 
-    def commit(self) -> list[str]:
+    def commit(self, destination: Destination | None = None) -> list[str]:
         """Give the files of every complete drive their names in the dataset; each manifest comes last.
 
         Nothing of the dataset is moved or removed. What another run committed with the same bytes is done.
+
+        Args:
+            destination: the dataset, if it is not the one in the folder.
 
         Returns:
             The ids of the drives.
@@ -127,7 +130,7 @@ class Staging:
         """
         drives = self.layout.drive_ids()
         for drive_id in drives:
-            commit_drive(self.layout, drive_id, FolderDestination(self.dataset.root))
+            commit_drive(self.layout, drive_id, destination or FolderDestination(self.dataset.root))
         return drives
 
     def take(self, drive_id: str) -> None:

@@ -2,7 +2,8 @@
 
 ``--reader tests/ingest/hooks.py:HookedReader`` imports it in the processes that do the work. `RUIN` in a recording says
 how its track ends: an error, a crash or never. Each line of `KILL` names a file that the drive gets: once, the process
-is killed before it. `HOLD` names a file before which one process waits until `GO` is there.
+is killed before it; of a bucket, each line of `KILL_AT_READING` names one, which is read for its put. `HOLD` names a
+file before which one process waits until `GO` is there.
 """
 
 from __future__ import annotations
@@ -19,12 +20,16 @@ from mirror.recordings.protocol import Recording
 from mirror.recordings.readers.folder import FolderReader
 
 RUIN, KILL, HOLD, GO, ATTEMPTS = "hooks.ruin", "hooks.kill", "hooks.hold", "hooks.go", "hooks.attempts"
+KILL_AT_READING = "hooks.kill_at_reading"
 
 _opened: dict[str, Path] = {}
 """Folders of the recordings that this process opened, by drive id."""
 
 
 def _before_put(event: str, arguments: tuple[Any, ...]) -> None:
+    if event == "open" and arguments[1] == "r" and ".staging" in str(arguments[0]):
+        _end_at_reading(PurePath(str(arguments[0])))
+        return
     if event != "os.link":
         return
     path = PurePath(str(arguments[1]))
@@ -32,12 +37,18 @@ def _before_put(event: str, arguments: tuple[Any, ...]) -> None:
         return
     for drive_id, folder in _opened.items():
         if drive_id in path.parts or any(f".{drive_id}." in part for part in path.parts):
-            _end_before(folder, path)
+            _end_before(folder, path, KILL)
             _wait_before(folder, path)
 
 
-def _end_before(folder: Path, path: PurePath) -> None:
-    file = folder.with_name(f"{folder.name}.{KILL}")
+def _end_at_reading(path: PurePath) -> None:
+    for drive_id, folder in _opened.items():
+        if drive_id in path.parts or any(f".{drive_id}." in part for part in path.parts):
+            _end_before(folder, path, KILL_AT_READING)
+
+
+def _end_before(folder: Path, path: PurePath, name: str) -> None:
+    file = folder.with_name(f"{folder.name}.{name}")
     for number, pattern in enumerate(file.read_text().split() if file.exists() else []):
         if path.match(pattern):
             try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,14 +15,17 @@ from mirror.cli.main import main
 from mirror.dataset.index.snapshots import list_snapshots
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError, UsageError
+from mirror.executors.choice import ExecutorChoice
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
 from tests.builders.bucket import BUCKET, Bucket
 from tests.builders.folder import SCENE, START_NS, tree, write_recording
 from tests.builders.s3 import reached_by_environment, served_bucket
+from tests.ingest import hooks
 
 OUT = f"s3://{BUCKET}/street"
+READER = f"{Path(hooks.__file__).relative_to(Path.cwd())}:HookedReader"
 SHARDS = IngestOptions(workers=1, write=WriteOptions(transfer="copy", shards=True))
 
 
@@ -120,6 +124,29 @@ def test_what_would_replace_files_is_refused(fleet: list[Path], bucket: Bucket, 
     assert contents(bucket) == before
 
 
+def test_processes_that_are_killed_put_the_bytes_of_one_process(bucket: Bucket, tmp_path: Path) -> None:
+    fleet = [
+        write_recording(tmp_path, f"drive_{n}", start_ns=START_NS + n * 10**13, from_m=-70.0, to_m=70.0, seed=n)
+        for n in range(2)
+    ]
+    options = replace(SHARDS, reader=READER, timeout_s=60.0)
+    ingest_recordings(fleet, [SCENE], tmp_path / "folder", options)
+    for recording, pattern in zip(fleet, ("recorded/*.tar", "recorded/images.parquet drives/*/passes.parquet")):
+        recording.with_name(f"{recording.name}.{hooks.KILL_AT_READING}").write_text(pattern)
+    jobs = replace(options, executor=ExecutorChoice("processes", 2))
+    report = ingest_recordings(fleet, [SCENE], OUT, jobs)
+    assert sorted(report.drives) == ["drive_0", "drive_1"] and not report.failures
+    assert len(list(tmp_path.glob("*.killed"))) == 3
+    assert contents(bucket) == tree(tmp_path / "folder")
+    puts = [request for request in bucket.requests if request.method == "PUT" and request.status == 200]
+    assert puts[-1].key.endswith("index/snapshots/00000001.json") and len(puts) == len(bucket.objects)
+    # Drives that a run committed before it was killed itself are found done, and get their snapshot.
+    del bucket.objects["street/index/snapshots/00000001.json"]
+    again = ingest_recordings(fleet, [], OUT, replace(jobs, executor=ExecutorChoice("serial")))
+    assert sorted(again.drives) == ["drive_0", "drive_1"] and mirror.open(OUT).drives() == ["drive_0", "drive_1"]
+    assert contents(bucket) == tree(tmp_path / "folder")
+
+
 def test_opening_asks_at_most_ten_times_with_four_thousand_snapshots(fleet: list[Path], bucket: Bucket) -> None:
     ingest_recordings(fleet[:1], [SCENE], OUT, SHARDS)
     newest = bucket.objects["street/index/snapshots/00000001.json"]
@@ -146,7 +173,10 @@ def test_another_implementation_of_s3_gives_the_same_dataset(
             s3fs.S3FileSystem().mkdir(BUCKET)
             place = f"{SCENE.longitude_deg},{SCENE.latitude_deg},60,street"
             words = ["ingest", str(fleet[0]), "--roi", place, "--images", "shards", "--out"]
-            assert main([*words, OUT]) == 0 and main([*words, str(tmp_path / "folder")]) == 0
+            assert (
+                main([*words[:-1], "--executor", "processes", "--workers", "1", "--out", OUT]) == 0
+                and main([*words, str(tmp_path / "folder")]) == 0
+            )
             assert "s3://fleet/street" in capsys.readouterr().out
             assert main([*words, OUT]) == 0
             assert "1 unchanged drives were skipped" in capsys.readouterr().out

@@ -196,6 +196,11 @@ def apply_new_names(words: Sequence[str], command: str, renamed: Mapping[str, st
     return [*first, *others, *last]
 
 
+def is_url(text: str) -> bool:
+    """Return whether a word is a URL, and no path: fsspec chains such as ``zip::FILE`` count as URLs."""
+    return _URL.match(text) is not None
+
+
 def local_path(path: Path, place: str | None = None) -> Path:
     """Return a path of the command line unchanged, or refuse it if it is a URL.
 
@@ -212,8 +217,9 @@ def local_path(path: Path, place: str | None = None) -> Path:
             file=re.sub(r":/(?!/)", "://", str(path), count=1),
             place=place,
             expected="a path on this machine: remote storage is not supported here yet",
-            remedy="copy what is there to this machine first, or copy what is written here to the bucket afterwards;"
-            " `mirror stats` and `mirror report` read datasets by URL",
+            remedy="copy what is there to this machine first (`mirror dataset fetch URL --scene ID --out FOLDER` brings"
+            " a part of a dataset), or copy what is written here to the bucket afterwards; `mirror ingest`, `index`,"
+            " `check`, `info`, `stats`, `report` and `dataset gc` take URLs of datasets",
         )
     return path
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -28,8 +27,8 @@ class Arguments:
     Exit codes: 0 no errors, 1 errors (with --strict also warnings), 2 could not run.
     """
 
-    dataset: tyro.conf.Positional[Path]
-    """Folder of the dataset."""
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset; of a URL, documents and tables are copied to this machine first."""
     rule: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="RULE")] = ()
     """Run only this rule (POS003) or group (POS), also if --quick would leave it out."""
     skip: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="RULE")] = ()

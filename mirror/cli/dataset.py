@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
+from mirror.command_line import Subcommand, help_text, is_url, parse_arguments, run_subcommand
 from mirror.counting import count_of
 from mirror.errors import ExitCode
 
@@ -143,11 +143,12 @@ class Migrate:
 class Gc:
     """Remove what no reader can reach: old snapshots, index segments that none names, traversals that no drive names.
 
-    The newest snapshot stays, and each that a process of this machine has open. Drives and images of drives stay.
+    The newest snapshot stays, and each that a process of this machine has open. Drives and images of drives stay. Of a
+    bucket the age alone decides: readers of it are not known.
     """
 
-    dataset: tyro.conf.Positional[Path]
-    """Folder of the dataset."""
+    dataset: tyro.conf.Positional[str]
+    """Folder of the dataset, or s3://BUCKET/PATH."""
     older_than_days: float = 7.0
     """Keep what was changed within so many days: a run on another machine may be about to name it."""
     dry_run: bool = False
@@ -240,13 +241,20 @@ def _gc(argv: Sequence[str]) -> int:
 
     from dataclasses import asdict
 
+    from mirror.dataset.bucket_garbage import collect_bucket_garbage
+    from mirror.dataset.destination import bucket_at
     from mirror.dataset.garbage import collect_garbage
     from mirror.errors import UsageError
 
     if not arguments.older_than_days >= 0.0:
         raise UsageError(f"{arguments.older_than_days}", place="--older-than-days", expected="0 or more")
     age_s = arguments.older_than_days * 86400.0
-    report = collect_garbage(arguments.dataset, age_s=age_s, dry_run=arguments.dry_run, wait=arguments.wait)
+    if is_url(arguments.dataset):
+        bucket = bucket_at(arguments.dataset)
+        report = collect_bucket_garbage(bucket, age_s=age_s, dry_run=arguments.dry_run, wait=arguments.wait)
+    else:
+        folder = Path(arguments.dataset)
+        report = collect_garbage(folder, age_s=age_s, dry_run=arguments.dry_run, wait=arguments.wait)
     if arguments.json:
         print(json.dumps({**asdict(report), "dry_run": arguments.dry_run}))
         return ExitCode.DONE

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mirror.cli.ingest import reader_options
-from mirror.command_line import help_text, parse_arguments
+from mirror.command_line import help_text, is_url, parse_arguments
 from mirror.counting import count_of
 from mirror.errors import DatasetError, ExitCode
 
@@ -30,8 +30,8 @@ class Arguments:
     A format such as nuScenes keeps several drives in one folder: for the folder they are listed, FOLDER/NAME is one.
     """
 
-    path: Annotated[tyro.conf.Positional[Path], help_text(metavar="DATASET|RECORDING")]
-    """Folder of a dataset, or a recording."""
+    path: Annotated[tyro.conf.Positional[str], help_text(metavar="DATASET|RECORDING")]
+    """Folder or URL of a dataset, or a recording."""
     reader: Annotated[str | None, help_text(default="recognised from the files", metavar="NAME|FILE.py:CLASS")] = None
     """Reader of the recording."""
     tz: Annotated[str | None, help_text(default="none", metavar="ZONE")] = None
@@ -47,13 +47,14 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror info", examples=_EXAMPLES)
-    path = arguments.path
-    if not path.exists() and not _is_drive_of_folder(path, arguments.reader):
+    path = Path(arguments.path)
+    is_remote = is_url(arguments.path)
+    if not is_remote and not path.exists() and not _is_drive_of_folder(path, arguments.reader):
         raise DatasetError("there is no file or folder at this path", file=path, expected="a dataset or a recording")
-    if (path / "dataset.json").is_file():
+    if is_remote or (path / "dataset.json").is_file():
         from mirror.integrity.summary import summarise as summarise_dataset
 
-        dataset = summarise_dataset(path)
+        dataset = summarise_dataset(arguments.path)
         plain, lines = dataset.to_dict(), _dataset_lines(dataset)
         kind = "dataset"
     else:

@@ -90,7 +90,10 @@ class Dataset:
             UsageError: the dataset was opened from a URL.
         """
         if self.store.folder is None:
-            raise UsageError(f"{self.root} is not a local folder", remedy="copy the dataset to a disk first")
+            raise UsageError(
+                "a dataset that is not in a folder of this machine is read only", file=self.root, expected="a folder",
+                remedy=f"bring a part to this machine: mirror dataset fetch {self.root} --scene ID --out FOLDER",
+            )  # fmt: skip
         return Layout(self.store.folder)
 
     def __repr__(self) -> str:

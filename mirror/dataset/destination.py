@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -27,6 +27,7 @@ _ATTEMPTS: Final = 12
 _FIRST_PAUSE_S: Final = 0.05
 _LONGEST_PAUSE_S: Final = 5.0
 _PIECE: Final = 16 << 20
+_REMOVED_AT_A_TIME: Final = 1000
 _CONFLICT_REMEDY: Final = (
     "let the other run end. If none is running, an interrupted one of other input or options left it: remove what lies "
     "below the drive and its traversals in the bucket, and run the same command again"
@@ -164,6 +165,19 @@ class BucketDestination:
             if path != last:
                 self.commit_file(source / path, f"{name}/{path}")
         self.commit_file(source / last, f"{name}/{last}")
+
+    def remove(self, names: Sequence[str]) -> None:
+        """Remove objects, a thousand a request; those that are gone already are done.
+
+        Raises:
+            UnwritableError: one cannot be removed.
+        """
+        for start in range(0, len(names), _REMOVED_AT_A_TIME):
+            some = names[start : start + _REMOVED_AT_A_TIME]
+            try:
+                self._filesystem.rm([f"{self._place}/{name}" for name in some])
+            except self._errors as error:
+                raise self._unwritable_error(some[0], error) from error
 
     def require_conditional_puts(self, name: str, data: bytes) -> None:
         """Require that the server refuses to put a name that is taken.

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import FileEntry, ImageTotals, Manifest
@@ -13,6 +15,7 @@ from mirror.schema.files import read_json, write_json
 from mirror.schema.snapshot import SNAPSHOTS
 
 MANIFEST = "manifest.json"
+_URL: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+")
 MAPS = "maps"
 """Folder of the recorded road maps, one folder a scene."""
 
@@ -112,6 +115,13 @@ def _complete(parent: Path) -> Iterator[Path]:
 
 def not_a_dataset_error(root: str | Path, *, exists: bool) -> DatasetError:
     """Make the error for a path that is not a dataset."""
+    if not exists and (url := _URL.match(str(root))) is not None:
+        # `Path` reads s3://bucket as a folder s3:.
+        place = f"{url[1]}://{str(root)[url.end() :]}"
+        return DatasetError(
+            "this changes a dataset in a folder, and takes no URL", file=place, expected="a folder of this machine",
+            remedy=f"bring a part to this machine: mirror dataset fetch {place} --scene ID --out FOLDER",
+        )  # fmt: skip
     return DatasetError(
         "not a dataset: dataset.json is missing" if exists else "the folder does not exist",
         file=root,

@@ -33,7 +33,7 @@ _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore
 
 @dataclass(frozen=True)
 class StoredFile:
-    """What a store says of a file without reading it.
+    """A file in a store, as the store describes it.
 
     Attributes:
         bytes: its size.

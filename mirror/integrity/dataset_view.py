@@ -12,6 +12,7 @@ import pyarrow as pa
 from mirror.dataset.index.build import find_changes
 from mirror.dataset.index.inputs import IndexInputs, read_inputs, read_rois
 from mirror.dataset.index.snapshots import IndexState, list_snapshots, read_state
+from mirror.dataset.index.table_copy import TableCopy
 from mirror.dataset.layout import MANIFEST, MAPS, Layout
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.recorded_map import MAP_FILE
@@ -60,16 +61,20 @@ class DatasetView:
     """Documents, manifests and ledgers of a dataset; broken ones are left out, and their errors are kept.
 
     Args:
-        layout: the dataset.
+        layout: the dataset; or a copy of its documents and tables, see `local_tables`.
+        images: where its other files lie, if not there.
+        sizes: sizes of those files, by path; None: they are asked for.
 
     Attributes:
         problems: why a file could not be read, by the file relative to the root.
         cameras: the cameras that were made so far, so that equal ones are made once.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, images: Store | None = None, sizes: Mapping[str, int] | None = None) -> None:
         self.layout = layout
         self.store = Store(layout.root)
+        self.image_store = self.store if images is None else images
+        self.sizes = sizes
         self.problems: dict[str, MirrorError] = {}
         self.cameras: dict[Camera, Camera] = {}
 
@@ -270,6 +275,13 @@ class DatasetView:
     def ties(self) -> Sequence[Tie]:
         """Ties between traversals, including ties of scenes."""
         return find_ties(self.candidates, by_scene=True)
+
+    @classmethod
+    def of_copy(cls, copy: TableCopy) -> DatasetView:
+        """Return the view of a dataset by a copy of its documents and tables."""
+        if copy.store.folder is not None:
+            return cls(copy.layout)
+        return cls(copy.layout, copy.store, {name: file.bytes for name, file in copy.files.items()})
 
     def folders(self, name: str) -> list[Path]:
         """Return the subfolders of a folder of the dataset, sorted, without hidden ones."""

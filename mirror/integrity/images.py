@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from threading import Lock
@@ -66,10 +66,12 @@ class ImageFileReader:
     Args:
         images: the images.
         store: the dataset's files.
+        sizes: sizes of its files, by path; None: they are asked for.
     """
 
-    def __init__(self, images: TableRows, store: Store) -> None:
+    def __init__(self, images: TableRows, store: Store, sizes: Mapping[str, int] | None = None) -> None:
         self._store = store
+        self._sizes = sizes
         self._uri: list[str] = images.data.column("uri").to_pylist()
         self._offset = images.integers("byte_offset")
         self._length = images.integers("byte_length")
@@ -111,8 +113,7 @@ class ImageFileReader:
         if leaves_dataset(uri):
             return LEAVES_DATASET, True
         try:
-            place = self._store.resolve(uri)
-            size = place.stat().st_size if isinstance(place, Path) else int(place[0].info(place[1])["size"])
+            size = stored_size(self._store, uri, self._sizes)
             if self._codec[row] == "video" or not self._whole(row, size):
                 return size, True
             tail = min(int(self._length[row]), TAIL_BYTES)
@@ -150,6 +151,26 @@ class ImageFileReader:
             if uri not in self._video_sha256:
                 self._video_sha256[uri] = hashlib.sha256(self._store.read(uri)).digest()
             return self._video_sha256[uri] == expected
+
+
+def stored_size(store: Store, uri: str, sizes: Mapping[str, int] | None = None) -> int:
+    """Return the size of the file of a uri in bytes.
+
+    Args:
+        store: the dataset's files.
+        uri: relative to the dataset, or absolute.
+        sizes: sizes of the dataset's files, by path; None: they are asked for.
+
+    Raises:
+        OSError: it is missing, or cannot be asked for.
+        DatasetError: no installed package reads the uri.
+    """
+    if sizes is not None and "://" not in uri and not uri.startswith("/"):
+        if uri not in sizes:
+            raise FileNotFoundError(uri)
+        return sizes[uri]
+    place = store.resolve(uri)
+    return place.stat().st_size if isinstance(place, Path) else int(place[0].info(place[1])["size"])
 
 
 def leaves_dataset(uri: str) -> bool:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
+from mirror.errors import MirrorError
 from mirror.integrity.finding import Finding
-from mirror.integrity.images import leaves_dataset
+from mirror.integrity.images import leaves_dataset, stored_size
 from mirror.integrity.rows import TableRows
 from mirror.integrity.scene_view import SceneView
 
@@ -17,8 +17,7 @@ from mirror.integrity.scene_view import SceneView
 def missing_files(view: SceneView, rows: TableRows) -> Iterator[Finding]:
     """Find rows with a missing file, or with a file of another size."""
     length = rows.integers("byte_length")
-    places = [_place(view, uri) for uri in rows.data.column("uri").to_pylist()]
-    size = np.array([-1 if place is None else place.stat().st_size for place in places], np.int64)
+    size = np.array([_size(view, uri) for uri in rows.data.column("uri").to_pylist()], np.int64)
     yield from rows.findings(
         size != length,
         lambda row: (
@@ -33,9 +32,9 @@ def changed_files(view: SceneView, rows: TableRows) -> Iterator[Finding]:
     other = np.zeros(len(rows), np.bool_)
     length, sha256 = rows.integers("byte_length"), rows.data.column("sha256").to_pylist()
     for row, uri in enumerate(rows.data.column("uri").to_pylist()):
-        place = _place(view, uri)
-        if place is not None and place.stat().st_size == length[row]:
-            other[row] = hashlib.sha256(place.read_bytes()).digest() != sha256[row]
+        if _size(view, uri) == length[row]:
+            data = view.dataset.image_store.read_range(uri, 0, int(length[row]))
+            other[row] = hashlib.sha256(data).digest() != sha256[row]
     yield from rows.findings(other, lambda row: f"{rows.text('uri', row)} has another SHA-256 than its row says")
 
 
@@ -56,6 +55,11 @@ def rows_without_image(view: SceneView, rows: TableRows) -> Iterator[Finding]:
     yield from rows.findings(lost, lambda row: "no image of this camera and instant")
 
 
-def _place(view: SceneView, uri: str) -> Path | None:
-    place = None if leaves_dataset(uri) else view.dataset.store.resolve(uri)
-    return place if isinstance(place, Path) and place.is_file() else None
+def _size(view: SceneView, uri: str) -> int:
+    """Size of a file of a layer in bytes; -1: it is missing, or not in the dataset."""
+    if leaves_dataset(uri) or "://" in uri:
+        return -1
+    try:
+        return stored_size(view.dataset.image_store, uri, view.dataset.sizes)
+    except (OSError, MirrorError):
+        return -1

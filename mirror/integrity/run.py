@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mirror.dataset.layout import Layout, require_dataset
+from mirror.dataset.index.table_copy import local_tables
 from mirror.errors import ExitCode, MirrorError
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Cost, Finding, Severity
@@ -68,7 +68,7 @@ def check(
     once for all rules.
 
     Args:
-        root: the dataset's folder.
+        root: the dataset's folder or URL. Of a URL, documents and tables are copied to this machine first.
         only: ids of rules, or letters of groups; these run whatever they cost. Empty: all rules up to ``cost``.
         skip: ids of rules, or letters of groups, that do not run.
         cost: the most expensive kind of rule that runs.
@@ -84,11 +84,19 @@ def check(
         >>> [rule.rule_id for rule in report.rules], report.counts()["error"]
         (['IMG001'], 0)
     """
-    layout = Layout(Path(root))
-    require_dataset(layout)
-    refuse_links_out(layout.root)
     rules = select_rules(only, skip, cost)
-    view = DatasetView(layout)
+    with local_tables(root) as copy:
+        refuse_links_out(copy.layout.root)
+        report = _check(DatasetView.of_copy(copy), rules, start, advance)
+        for error in report.unreadable:
+            error.file = None if error.file is None else copy.name(error.file)
+        return report
+
+
+def _check(
+    view: DatasetView, rules: Sequence[Rule], start: Callable[[int], object], advance: Callable[[int], object]
+) -> CheckReport:
+    layout = view.layout
     findings: list[tuple[Rule, Finding]] = []
 
     def collect(rule: Rule, run: Callable[[], Findings], file: str, place: str | None = None) -> None:

@@ -150,15 +150,19 @@ class SceneView:
                 errors[number] = error
         return made, errors
 
+    @property
+    def _image_reader(self) -> ImageFileReader:
+        return ImageFileReader(self.all_images, self.dataset.image_store, self.dataset.sizes)
+
     @cached_property
     def image_files(self) -> ImageFiles:
         """Sizes and end markers of the files of `all_images`."""
-        return ImageFileReader(self.all_images, self.dataset.store).files()
+        return self._image_reader.files()
 
     @cached_property
     def image_contents(self) -> ImageContents:
         """Contents of the files that `all_images` lists."""
-        return ImageFileReader(self.all_images, self.dataset.store).contents(self.image_files)
+        return self._image_reader.contents(self.image_files)
 
     def calibrated_images(self) -> Iterator[tuple[int, slice, Bool]]:
         """Yield each row of `calibrations`, its traversal's rows of `images`, and a mask of its camera's rows."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from mirror.dataset.index.build import find_changes
-from mirror.dataset.layout import Layout, require_dataset
+from mirror.dataset.index.table_copy import local_tables
 from mirror.errors import MirrorError
 from mirror.integrity.dataset_view import DatasetView
 from mirror.schema.documents import DatasetDocument
@@ -83,9 +83,12 @@ def summarise(root: str | Path) -> DatasetSummary:
         DatasetError: the folder holds no dataset.
         SchemaError: ``dataset.json`` is broken or has another schema version.
     """
-    layout = Layout(Path(root))
-    require_dataset(layout)
-    view = DatasetView(layout)
+    with local_tables(root, tables=False) as copy:
+        return _summarise(DatasetView.of_copy(copy))
+
+
+def _summarise(view: DatasetView) -> DatasetSummary:
+    layout = view.layout
     if view.document is None:
         raise view.problems[view.name(layout.document)]
     traversals = view.traversals.values()

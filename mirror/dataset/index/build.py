@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from mirror.dataset.destination import Destination, FolderDestination
+import pyarrow.parquet as pq
+
+from mirror.dataset.destination import BucketDestination, Destination, FolderDestination
 from mirror.dataset.generation import recover, release
 from mirror.dataset.index.inputs import IndexInputs, read_inputs
 from mirror.dataset.index.segment import is_segment_intact, write_segment
@@ -19,14 +23,16 @@ from mirror.dataset.index.snapshots import (
     read_snapshot,
     read_state,
 )
+from mirror.dataset.index.table_copy import copy_drives
 from mirror.dataset.layout import Layout
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.commit import ConflictError
 from mirror.schema.documents import DatasetDocument
-from mirror.schema.files import read_json, read_table
+from mirror.schema.files import read_json
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_PASSES, ROW_GROUPS, TRAVERSALS
-from mirror.schema.snapshot import DriveSource, SegmentSources
+from mirror.schema.snapshot import DriveSource, IndexSegment, SegmentSources
+from mirror.schema.tables import Table
 
 Progress = Callable[[int, int], None]
 
@@ -108,18 +114,71 @@ def build_index(
     layout = Layout(Path(root))
     recover(layout)
     read_json(layout.document, DatasetDocument)
-    state = _intact_state(layout)
-    known = newest_segments(layout)
-    inputs = read_inputs(Store(layout.root))
     if check_sizes:
-        _require_recorded_sizes(layout, inputs)
+        _require_recorded_sizes(layout, read_inputs(Store(layout.root)))
+    built = _build(FolderDestination(layout.root), layout, force=force, compact=compact, progress=progress)
+    release(layout)
+    return _report(Store(layout.root), *built, start)
+
+
+def build_bucket_index(
+    destination: BucketDestination, *, force: bool = False, compact: bool = False, progress: Progress | None = None
+) -> IndexReport:
+    """Derive the index of a dataset in a bucket, as `build_index` does, and put the next snapshot.
+
+    The tables of the drives whose rows are derived are copied into a folder of this machine first; images are not.
+    Others may write the bucket meanwhile.
+
+    Args:
+        destination: the dataset.
+        force: derive everything again.
+        compact: derive everything again, unless the newest snapshot has one segment that is whole and up to date.
+        progress: called with the number of traversals that are done and the total.
+
+    Raises:
+        DatasetError: there is no dataset, or an object is missing or damaged, or cannot be written.
+        SchemaError: an object is broken or has another schema version.
+    """
+    start = time.perf_counter()
+    store = destination.store
+    store.json("dataset.json", DatasetDocument)
+    with tempfile.TemporaryDirectory(prefix="mirror-index-") as folder:
+        try:
+            built = _build(destination, Layout(Path(folder)), force=force, compact=compact, progress=progress)
+        except ConflictError as error:
+            segment = "/".join(str(error.file).removeprefix(f"{destination.url}/").split("/")[:2])
+            raise DatasetError(
+                "a segment of the index is damaged", file=error.file, expected="the bytes that its name stands for",
+                remedy=f"remove {segment}/ in the bucket, and run `mirror index {destination.url}` again",
+            ) from error  # fmt: skip
+    return _report(store, *built, start)
+
+
+def _build(
+    place: Destination, layout: Layout, *, force: bool, compact: bool, progress: Progress | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Derive what changed, and put the next snapshot.
+
+    Args:
+        place: the dataset.
+        layout: its folder; of a bucket, a folder of this machine, into which tables are copied.
+        force: derive everything again.
+        compact: see `build_index`.
+        progress: see `build_index`.
+
+    Returns:
+        The scenes with newly derived rows, and the others.
+    """
+    store = place.store
+    state = _intact_state(store)
+    known = newest_segments(store)
+    inputs = read_inputs(store)
     changes = None if state is None else find_changes(state.sources, inputs)
     is_whole = force or state is None or (compact and (bool(changes) or not _is_compact(state)))
     # A segment cannot say that a map is gone.
     is_whole = is_whole or bool(changes is not None and changes.without_maps)
     if changes is not None and not changes and not is_whole:
-        release(layout)
-        return _report(layout, (), tuple(inputs.scenes), start)
+        return (), tuple(inputs.scenes)
     if changes is None or is_whole:
         loses = bool(known) if changes is None else changes.loses_rows
         maps = frozenset(inputs.map_hashes)
@@ -133,19 +192,19 @@ def build_index(
         if progress is not None:
             progress(count, to_do)
 
-    segment = write_segment(layout, part, add, repair=True)
+    if store.folder is None:
+        copy_drives(store, layout, part.drives)
+    segment = write_segment(layout, part, add, repair=store.folder is not None, destination=place)
     put_snapshot(
-        FolderDestination(layout.root),
+        place,
         segment,
         without_segments=known if is_whole else frozenset(),
         without_drives=changes.without_drives,
         without_scenes=changes.without_scenes,
         loses_rows=changes.loses_rows,
     )
-    release(layout)
     written = {one.scene_id for one in part.traversals.values()} | changes.scenes
-    kept = tuple(scene_id for scene_id in inputs.scenes if scene_id not in written)
-    return _report(layout, tuple(sorted(written)), kept, start)
+    return tuple(sorted(written)), tuple(scene_id for scene_id in inputs.scenes if scene_id not in written)
 
 
 def append_drives(
@@ -225,14 +284,14 @@ def _is_compact(state: IndexState) -> bool:
     return len(state.snapshot.segments) == 1 and state.snapshot.segments[0].is_whole
 
 
-def _intact_state(layout: Layout) -> IndexState | None:
+def _intact_state(store: Store) -> IndexState | None:
     """The newest snapshot, if all files that it names have their hashes; else None."""
     try:
-        state = read_state(Store(layout.root))
+        state = read_state(store)
     except (SchemaError, DatasetError):
         # The index is derived: an unreadable one is built again.
         return None
-    if state is None or not all(is_segment_intact(layout, segment) for segment in state.snapshot.segments):
+    if state is None or not all(is_segment_intact(store, segment) for segment in state.snapshot.segments):
         return None
     return state
 
@@ -253,20 +312,23 @@ def _require_recorded_sizes(layout: Layout, inputs: IndexInputs) -> None:
                 )
 
 
-def _report(layout: Layout, written: tuple[str, ...], kept: tuple[str, ...], start: float) -> IndexReport:
-    store = Store(layout.root)
+def _report(store: Store, written: tuple[str, ...], kept: tuple[str, ...], start: float) -> IndexReport:
     number = list_snapshots(store)[-1]
     snapshot = read_snapshot(store, number)
     rows = {"scenes": len(snapshot.scenes), TRAVERSALS.name: 0, INDEX_PASSES.name: 0}
     rows.update({table.name: 0 for table in INDEX_BY_SCENE})
     for segment in snapshot.segments:
-        folder, drives = layout.segment(segment.name), frozenset(segment.drives)
+        drives = frozenset(segment.drives)
         for table in (TRAVERSALS, INDEX_PASSES):
-            ids = read_table(folder / f"{table.name}.parquet", table, ["drive_id"]).column(0).to_pylist()
-            rows[table.name] += sum(drive_id in drives for drive_id in ids)
-        groups = read_table(folder / f"{ROW_GROUPS.name}.parquet", ROW_GROUPS, ["table", "traversal_id", "rows"])
-        for group in groups.to_pylist():
+            rows[table.name] += sum(one["drive_id"] in drives for one in _rows(store, segment, table, ["drive_id"]))
+        for group in _rows(store, segment, ROW_GROUPS, ["table", "traversal_id", "rows"]):
             # `scene.drive.entry_ms`, and ids have no full stops.
             if group["traversal_id"].split(".")[1] in drives:
                 rows[group["table"]] += group["rows"]
     return IndexReport(number, len(snapshot.segments), written, kept, rows, time.perf_counter() - start)
+
+
+def _rows(store: Store, segment: IndexSegment, table: Table, columns: list[str]) -> list[dict[str, Any]]:
+    with store.open(f"index/{segment.name}/{table.name}.parquet") as file:
+        rows: list[dict[str, Any]] = pq.read_table(file, columns=columns).to_pylist()
+    return rows

@@ -16,9 +16,10 @@ from mirror.dataset.index.scene_tables import write_scene_tables
 from mirror.dataset.index.traversal_table import TraversalTable
 from mirror.dataset.layout import MANIFEST, Layout, is_intact
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
+from mirror.dataset.store import Store
 from mirror.schema.commit import ConflictError
 from mirror.schema.documents import FileEntry, Manifest
-from mirror.schema.files import sha256_bytes, unwritable_error, write_bytes, write_json
+from mirror.schema.files import parse_json, sha256_bytes, unwritable_error, write_bytes, write_json
 from mirror.schema.index_tables import ROW_GROUPS, TRAVERSALS
 from mirror.schema.snapshot import SOURCES, IndexSegment
 
@@ -110,13 +111,21 @@ def write_segment(
             layout.index.rmdir()
 
 
-def is_segment_intact(layout: Layout, segment: IndexSegment) -> bool:
-    """Return whether all files of a segment have their hashes."""
-    folder = layout.segment(segment.name)
-    if not is_intact(folder) or not (folder / SOURCES).is_file():
+def is_segment_intact(store: Store, segment: IndexSegment) -> bool:
+    """Return whether all files of a segment have their hashes; of a remote one, whether all are there, by their sizes.
+
+    What is put into a store has all of its bytes, and none of it is put again.
+    """
+    folder = f"index/{segment.name}"
+    found = store.read_many([f"{folder}/{name}" for name in (MANIFEST, SOURCES)])
+    if [sha256_bytes(data) for data in found.values()] != [segment.manifest, segment.sources]:
         return False
-    hashes = [sha256_bytes((folder / name).read_bytes()) for name in (MANIFEST, SOURCES)]
-    return hashes == [segment.manifest, segment.sources]
+    if store.folder is not None:
+        return is_intact(Path(store.folder, folder))
+    manifest = parse_json(found[f"{folder}/{MANIFEST}"], Manifest, store.full_path(f"{folder}/{MANIFEST}"))
+    listed = store.list_tree(folder)
+    sizes = {name: listed[path].bytes for name in manifest.files if (path := f"{folder}/{name}") in listed}
+    return sizes == {name: entry.bytes for name, entry in manifest.files.items()}
 
 
 def _place(file: Path, path: Path) -> FileEntry:

@@ -11,7 +11,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from mirror.dataset.destination import Destination
-from mirror.dataset.layout import Layout
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.commit import ConflictError
@@ -148,9 +147,9 @@ def put_snapshot(
         return number + 1
 
 
-def newest_segments(layout: Layout) -> frozenset[str]:
+def newest_segments(store: Store) -> frozenset[str]:
     """Return the names of the segments of the newest snapshot; empty if there is none, or if it is damaged."""
-    return frozenset(segment.name for segment in _newest(Store(layout.root))[1].segments)
+    return frozenset(segment.name for segment in _newest(store)[1].segments)
 
 
 def encode_snapshot(snapshot: IndexSnapshot) -> bytes:

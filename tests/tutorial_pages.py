@@ -58,7 +58,7 @@ def follow(
         stand_ins: functions in place of commands that begin so.
         capsys: reads what commands print.
         parts: headings of the sections to follow; none: all.
-        apart: beginnings of commands that run in a process of their own.
+        apart: commands with one of these words run in a process of their own.
 
     Returns:
         What each command printed.
@@ -93,7 +93,7 @@ def follow(
                 for word, others in shorter[begin].items():
                     at = given.index(word) if word else len(given)
                     given[at : at + bool(word)] = others
-            if line.removeprefix("mirror ").startswith(tuple(apart)):
+            if not set(apart).isdisjoint(given):
                 printed[line] = run_apart(given)
             else:
                 assert main(given) == 0, (given, capsys.readouterr())

@@ -27,6 +27,7 @@ from benchmarks.rasterizer.errors import compute_gradient_errors, compute_image_
 from benchmarks.rasterizer.processes import measure_peak_bytes, measure_starts
 from benchmarks.rasterizer.projection import projection_rows
 from benchmarks.rasterizer.rolling import rolling_rows
+from benchmarks.rasterizer.rolling_recorded import recorded_rows
 from benchmarks.rasterizer.rolling_street import street_rows
 from benchmarks.rasterizer.scenes import Splats
 from benchmarks.rasterizer.views import View, both_ms, count_name, forward_ms, with_threads
@@ -264,6 +265,7 @@ GROUPS: Final[dict[str, Callable[[bool, int], Iterator[Row]]]] = {
     "projection": projection_group,
     "rolling": rolling_group,
     "rolling-street": street_rows,
+    "rolling-recorded": recorded_rows,
     "garden": garden_rows,
     "process": process_rows,
 }

@@ -69,10 +69,10 @@ def write_lanes(root: Path) -> Path:
     return builder.root
 
 
-def add_initial_points(made: Dataset) -> Dataset:
+def add_initial_points(made: Dataset, split: str = "novel") -> Dataset:
     """Add points of its training traversals, a wall on either side, and a depth map of each, as `mirror reconstruct`
     reads them."""
-    train = made.where(split="novel", role="train")
+    train = made.where(split=split, role="train")
     poses = train.table("ego_poses", ["tx_m", "ty_m", "tz_m"])
     x, y, z = (column.to_numpy() for column in poses.columns)
     rng = np.random.default_rng(0)

@@ -13,7 +13,7 @@ import pytest
 
 import hybridworldsim.small_inputs
 import mirror.cli.small_inputs
-from hybridworldsim.rasterizer.cpu.projection.rolling import rolling_part_backward
+from hybridworldsim.rasterizer.cpu.projection.unscented import unscented_part_backward
 from mirror.calibration.refinement.equations import reduce_equations
 from mirror.cli.main import main
 from mirror.compiled import COMPILE_ALWAYS
@@ -66,7 +66,7 @@ def test_functions_are_compiled_for_small_inputs_only_where_all_are(tmp_path: Pa
     ("call", "functions"),
     [
         (mirror.cli.small_inputs.main, (overlaps, reduce_equations)),
-        (hybridworldsim.small_inputs.main, (rolling_part_backward,)),
+        (hybridworldsim.small_inputs.main, (unscented_part_backward,)),
     ],
 )
 def test_small_inputs_reach_functions_that_no_verb_does(call: Callable[[], None], functions: tuple[Any, ...]) -> None:

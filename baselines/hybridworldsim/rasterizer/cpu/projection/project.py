@@ -18,7 +18,8 @@ from hybridworldsim.rasterizer.cpu.projection.kernel_lens import to_kernel_lens
 from hybridworldsim.rasterizer.cpu.projection.ordered_output import PART, OrderedOutput
 from hybridworldsim.rasterizer.cpu.projection.pinhole import project_part
 from hybridworldsim.rasterizer.cpu.projection.pinhole_backward import project_part_backward
-from hybridworldsim.rasterizer.cpu.projection.rolling import SCRATCH, KernelShutter, rolling_part, rolling_part_backward
+from hybridworldsim.rasterizer.cpu.projection.rolling import KernelShutter
+from hybridworldsim.rasterizer.cpu.projection.sigma_points import SCRATCH
 from hybridworldsim.rasterizer.cpu.projection.unscented import unscented_part, unscented_part_backward
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.rolling_shutter import compute_motion, rotation_at
@@ -102,13 +103,14 @@ def project(
     )
     kernels: _Kernels = (project_part, project_part_backward), (camera,)
     if lens is not None:
-        kernels = (unscented_part, unscented_part_backward), (camera, to_kernel_lens(lens, camera))
-    if lens is not None and shutter is not None and motion is not None:
-        kernel_shutter = KernelShutter(
-            shutter.per_x, shutter.per_y, shutter.offset, *view[:3, 3].tolist(), *motion.detach().tolist()
-        )
-        first = camera._replace(**_rotation_fields(view), t0=0.0, t1=0.0, t2=0.0)
-        kernels = (rolling_part, rolling_part_backward), (camera, first, to_kernel_lens(lens, camera), kernel_shutter)
+        first, kernel_shutter = camera, None
+        if shutter is not None and motion is not None:
+            kernel_shutter = KernelShutter(
+                shutter.per_x, shutter.per_y, shutter.offset, *view[:3, 3].tolist(), *motion.detach().tolist()
+            )
+            first = camera._replace(**_rotation_fields(view), t0=0.0, t1=0.0, t2=0.0)
+        cameras = camera, first, to_kernel_lens(lens, camera), kernel_shutter
+        kernels = (unscented_part, unscented_part_backward), cameras
     means2d, depths, conics, compensations, ids, low, factors, radii, counts = _Project.apply(
         means, quats, scales, viewmat, motion, opacities, kernels
     )

@@ -15,7 +15,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from mirror.dataset.store import S3_OPTIONS, Store
+from mirror.dataset.store import Store
+from mirror.dataset.uris import S3_OPTIONS
 from mirror.errors import DatasetError, UnwritableError, UsageError
 from mirror.installation import install_command
 from mirror.schema.commit import commit_bytes, commit_file, commit_folder, conflict_error, files_below

@@ -177,7 +177,7 @@ class Frame:
                     f"camera {image.camera} of {self._name} has {image.width_px} x {image.height_px} px",
                     expected=f"{out.shape[2]} x {out.shape[1]} px",
                 )
-        ranges = [ByteRange(image.uri, image.byte_offset, image.byte_length) for image, _ in jobs]
+        ranges = [image.byte_range for image, _ in jobs]
         with self._loader.read_ahead.reading([] if any(image.video_pts is not None for image, _ in jobs) else ranges):
             _decode_into(jobs, threads=threads, verify=verify)
 
@@ -285,7 +285,7 @@ class FrameSequence(Sequence[Frame]):
                     if (cameras is not None and camera not in cameras) or image.is_withheld:
                         continue
                     if image.video_pts is None:
-                        found.append(ByteRange(image.uri, image.byte_offset, image.byte_length))
+                        found.append(image.byte_range)
                     if masks:
                         found += [ByteRange(mask.uri, 0, mask.byte_length) for mask in image.masks()]
             return [one for one in found if ahead.is_far(one.uri)]

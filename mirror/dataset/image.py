@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from mirror.arrays import Float32, Float64, UInt8
 from mirror.dataset.loader import Loader
+from mirror.dataset.read_ahead import ByteRange
 from mirror.dataset.traversal import CameraCalibration, Traversal
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
@@ -122,10 +123,10 @@ class Image:
             verify: compare the bytes with ``sha256``.
 
         Raises:
-            DatasetError: the file is missing or too short, or the hash differs; the error names file, camera and
-                timestamp.
+            DatasetError: the file is missing or too short, or the hash differs; or an image outside of the dataset was
+                changed, by its size or its ETag. The error names file, camera and timestamp.
         """
-        data = self._loader.read(self.uri, self.byte_offset, self.byte_length, self._place)
+        data = self._loader.read_range(self.byte_range, self._place)
         if verify and self.sha256 is not None and hashlib.sha256(data).digest() != self.sha256:
             raise self._altered(self.sha256)
         return data
@@ -161,6 +162,13 @@ class Image:
             height, width = pixels.shape[:2]
             raise self._broken(f"the image is {width} x {height} px", f"{self.width_px} x {self.height_px} px")
         return pixels
+
+    @property
+    def byte_range(self) -> ByteRange:
+        """The bytes of this image; an image outside of the dataset is a file of its own."""
+        is_whole = "://" in self.uri and self.byte_offset == 0 and self.video_pts is None
+        etag = self._traversal.etags.get(self.uri) if is_whole and self.sha256 is None else None
+        return ByteRange(self.uri, self.byte_offset, self.byte_length, is_whole, etag)
 
     @property
     def is_withheld(self) -> bool:

@@ -14,7 +14,7 @@ import pyarrow as pa
 from mirror.arrays import Float32, UInt8
 from mirror.dataset.layers import LayerChoice
 from mirror.dataset.query.catalog import Catalog
-from mirror.dataset.read_ahead import ReadAhead
+from mirror.dataset.read_ahead import ByteRange, ReadAhead
 from mirror.dataset.store import Store
 from mirror.dataset.traversal import Traversal
 from mirror.dataset.withheld import image_remedy
@@ -139,9 +139,21 @@ class Loader:
         Raises:
             DatasetError: the file is missing or too short.
         """
+        return self.read_range(ByteRange(uri, offset, length), place)
+
+    def read_range(self, one: ByteRange, place: str) -> bytes:
+        """Read the bytes of a range.
+
+        Raises:
+            DatasetError: the file is missing or too short, or was changed.
+        """
+        uri, offset, length = one[:3]
         try:
-            ahead = self.read_ahead.take(uri, offset, length)
-            data = self.store.read_range(uri, offset, length) if ahead is None else ahead
+            ahead = self.read_ahead.take(*one)
+            data = one.read(self.store) if ahead is None else ahead
+        except DatasetError as error:
+            error.place = error.place or place
+            raise
         except OSError as error:
             raise self._unreadable(uri, place, f"cannot be read: {error.strerror or error}") from error
         if len(data) != length:

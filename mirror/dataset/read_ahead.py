@@ -38,11 +38,26 @@ class ByteRange(NamedTuple):
         uri: the file.
         offset: first byte.
         length: number of bytes.
+        is_whole: it is a file of its own outside of the dataset, whose size and tag must not have changed.
+        etag: the tag of that file; None: it is not known.
     """
 
     uri: str
     offset: int
     length: int
+    is_whole: bool = False
+    etag: str | None = None
+
+    def read(self, store: Store) -> bytes:
+        """Read it.
+
+        Raises:
+            DatasetError: as `Store.read_range` and `Store.read_whole`.
+            OSError: the file cannot be read.
+        """
+        if self.is_whole:
+            return store.read_whole(self.uri, self.length, self.etag)
+        return store.read_range(self.uri, self.offset, self.length)
 
 
 class Span(NamedTuple):
@@ -70,11 +85,11 @@ def coalesce(ranges: Iterable[ByteRange], *, gap_bytes: int = _GAP_BYTES, limit_
         limit_bytes: most bytes of a span with more than one range.
     """
     spans: list[Span] = []
-    for one in sorted(set(ranges)):
+    for one in sorted(set(ranges), key=lambda one: one[:3]):
         end = one.offset + one.length
         if spans:
             last = spans[-1]
-            is_near = last.uri == one.uri and one.offset - last.end <= gap_bytes
+            is_near = last.uri == one.uri and not one.is_whole and one.offset - last.end <= gap_bytes
             if is_near and max(end, last.end) - last.start <= limit_bytes:
                 spans[-1] = Span(last.uri, last.start, max(end, last.end), (*last.ranges, one))
                 continue
@@ -110,11 +125,11 @@ class ReadAhead:
             for span in coalesce(missing):
                 if self._pool is None:
                     break
-                future = self._pool.submit(self._store.read_range, span.uri, span.start, span.end - span.start)
+                future = self._pool.submit(_read_span, self._store, span)
                 for one in span.ranges:
                     self._held[one] = future, one.offset - span.start
 
-    def take(self, uri: str, offset: int, length: int) -> bytes | None:
+    def take(self, uri: str, offset: int, length: int, is_whole: bool = False, etag: str | None = None) -> bytes | None:
         """Return the bytes of a range that was asked for; None: it was not.
 
         Raises:
@@ -122,7 +137,7 @@ class ReadAhead:
             OSError: the file cannot be read.
         """
         with self._lock:
-            held = self._held.get(ByteRange(uri, offset, length))
+            held = self._held.get(ByteRange(uri, offset, length, is_whole, etag))
         if held is None:
             return None
         future, start = held
@@ -194,3 +209,9 @@ class ReadAhead:
         finally:
             for _, ranges in waiting:
                 self.release(ranges)
+
+
+def _read_span(store: Store, span: Span) -> bytes:
+    if len(span.ranges) == 1:
+        return span.ranges[0].read(store)
+    return store.read_range(span.uri, span.start, span.end - span.start)

@@ -15,18 +15,14 @@ from urllib.parse import unquote, urlsplit
 import pyarrow as pa
 
 from mirror.dataset.generation import Generation
+from mirror.dataset.uris import changed_error, install_hint, read_tagged, resolve_uri, uri_etag, uri_options
 from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
 from mirror.schema.files import Model, parse_json
 from mirror.schema.links import require_inside
 
 Result = TypeVar("Result")
 
-_READERS: Final = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs", "https": "aiohttp"}
-"""Packages that fsspec needs to read URLs, by scheme."""
-
 _REMOTE_REQUESTS: Final = 16
-S3_OPTIONS: Final = {"max_concurrency": 1}
-"""Options of the file system for S3: with several ranges at a time, reading an object asks for its size first."""
 _PIECE: Final = 1 << 20
 _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
 
@@ -93,14 +89,14 @@ class Store:
         head, chained, tail = self.root.partition("::")
         url = f"{head}://::{tail}" if chained and "://" not in head else self.root
         try:
-            filesystem, base = fsspec.core.url_to_fs(url, **_options(url))
+            filesystem, base = fsspec.core.url_to_fs(url, **uri_options(url))
         except (ImportError, ValueError) as error:
             # The message of fsspec names the missing package or the unknown protocol.
             raise UsageError(
                 f"this URL cannot be opened: {error}",
                 file=self.root,
                 expected="a folder, or a URL that fsspec reads with the packages installed here",
-                remedy=f"{_install_hint(self.root)}, or correct the URL",
+                remedy=f"{install_hint(self.root)}, or correct the URL",
             ) from error
         return filesystem, base.rstrip("/")
 
@@ -279,6 +275,29 @@ class Store:
             uri, pread, lambda filesystem, path: bytes(filesystem.cat_file(path, start=offset, end=offset + length))
         )
 
+    def read_whole(self, uri: str, length: int, etag: str | None = None) -> bytes:
+        """Read an image that is a file of its own outside of the dataset.
+
+        Args:
+            uri: its uri.
+            length: its size; the result is shorter if the file is.
+            etag: the tag that its store gave to its bytes; None: it is not known.
+
+        Raises:
+            DatasetError: the file is longer, or has another tag: it was changed.
+            OSError: it cannot be read.
+        """
+        place = self.resolve(uri)
+        if isinstance(place, Path):
+            data = self.read_range(uri, 0, length + 1)
+        elif etag is None:
+            data = bytes(place[0].cat_file(place[1], start=0, end=length + 1))
+        else:
+            data = read_tagged(*place, uri, length + 1, etag)
+        if len(data) > length:
+            raise changed_error(uri, f"has more than {length:,} bytes", f"{length:,} bytes")
+        return data
+
     def open_uri(self, uri: str, local: Callable[[Path], Result], remote: Callable[[Any, str], Result]) -> Result:
         """Call one of two functions on an image's uri, to read or open it.
 
@@ -306,18 +325,7 @@ class Store:
         if "://" in uri:
             if uri.startswith("file://"):
                 return Path(unquote(urlsplit(uri).path))
-            import fsspec
-
-            try:
-                filesystem, path = fsspec.core.url_to_fs(uri, **_options(uri))
-            except (ImportError, ValueError) as error:
-                raise DatasetError(
-                    f"this uri cannot be opened: {error}",
-                    file=uri,
-                    expected="a uri that fsspec reads with the packages installed here",
-                    remedy=_install_hint(uri),
-                ) from error
-            return filesystem, path
+            return resolve_uri(uri)
         if uri.startswith("/"):
             return Path(uri)
         self._require_inside(uri)
@@ -365,20 +373,8 @@ def unreadable_error(file: str, error: BaseException) -> SchemaError:
 
 def _describe(entry: Mapping[str, Any]) -> StoredFile:
     written = entry.get("LastModified", entry.get("created"))
-    etag = entry.get("ETag")
     return StoredFile(
         int(entry["size"]),
         written.timestamp() if isinstance(written, datetime) else None,
-        None if etag is None else str(etag).strip('"'),
+        uri_etag(entry),
     )
-
-
-def _options(url: str) -> dict[str, Any]:
-    return S3_OPTIONS if url.startswith("s3://") else {}
-
-
-def _install_hint(url: str) -> str:
-    scheme = url.partition(":")[0]
-    if scheme in _READERS:
-        return f"pip install {_READERS[scheme]}"
-    return f"install the package with which fsspec reads {scheme}://"

@@ -22,6 +22,8 @@ from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera, camera_from_row
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
+from mirror.schema.files import parse_json
+from mirror.schema.references import REFERENCES, ImageReferences
 from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS
 
 STAGES: Final = ("refined", "online", "factory")
@@ -121,6 +123,14 @@ class Traversal:
         self.row = row
         self._layers = layers
         self.traversal_id = traversal_id
+
+    @cached_property
+    def etags(self) -> Mapping[str, str]:
+        """ETags of the images outside of the dataset, by uri; empty where none is known."""
+        path = f"traversals/{self.traversal_id}/recorded/{REFERENCES}"
+        store = self._catalog.store
+        found = store.read_many([path])
+        return parse_json(found[path], ImageReferences, store.full_path(path)).etags if path in found else {}
 
     @cached_property
     def track(self) -> tuple[Int64, Poses]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +15,7 @@ import numpy as np
 from mirror.arrays import Int64
 from mirror.dataset.images.decoding import decode_rgb
 from mirror.errors import RecordingError
+from mirror.ingest.references import References, identify_references
 from mirror.recordings.opening import read_file, read_file_start, unreadable_error
 from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.recordings.raster import read_raster_size, require_complete_image
@@ -40,6 +41,7 @@ class PlacedImages:
         height_px: (N,) of each.
         linked: how many are hard links to the recording's own files.
         video_pts: (N,) time stamps of the frames of videos; None: the images are not in videos.
+        etags: tags of images that lie elsewhere, by uri.
     """
 
     names: list[str]
@@ -50,6 +52,7 @@ class PlacedImages:
     height_px: Int64
     linked: int
     video_pts: Int64 | None = None
+    etags: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def bytes(self) -> int:
@@ -57,19 +60,26 @@ class PlacedImages:
         return sum(self.sizes) if self.video_pts is None else sum(dict(zip(self.names, self.sizes)).values())
 
 
-def refer_to_images(stream: ReferencedStream, selected: Int64, advance: Callable[[int], None]) -> PlacedImages:
-    """Refer to a camera's selected images at their present place; no image is opened.
+def refer_to_images(
+    stream: ReferencedStream, selected: Int64, advance: Callable[[int], None], keep: References = "size"
+) -> PlacedImages:
+    """Refer to a camera's selected images at their present place.
 
     Args:
         stream: the camera.
         selected: (N,) ascending indices into the stream.
-        advance: called with the number of images.
+        advance: called with the number of images done since the last call.
+        keep: what is kept of their bytes; for their sizes, no image is asked for.
+
+    Raises:
+        RecordingError: an image cannot be fetched, has another size than its row says, or no ETag.
     """
     uris, sizes = [stream.uris[index] for index in selected.tolist()], stream.byte_length[selected]
-    advance(len(uris))
-    nothing: list[bytes | None] = [None] * len(uris)
+    found = identify_references(stream, selected, keep, advance)
     width, height = stream.width_px[selected], stream.height_px[selected]
-    return PlacedImages(uris, sizes.tolist(), nothing, stream.codec, width, height, 0)
+    etags = {uri: one.etag for uri, one in zip(uris, found) if one.etag is not None}
+    hashes = [one.sha256 for one in found]
+    return PlacedImages(uris, sizes.tolist(), hashes, stream.codec, width, height, 0, etags=etags)
 
 
 def place_images(

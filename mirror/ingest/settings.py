@@ -99,6 +99,8 @@ def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
         decisive["videos"] = options.write.videos
     if options.write.shards:
         decisive["shards"] = True
+    if options.write.references != "size":
+        decisive["references"] = options.write.references
     if options.max_missing_images:
         decisive["max_missing_images"] = options.max_missing_images
     return hash_document(decisive)

@@ -21,6 +21,7 @@ from mirror.errors import RecordingError, SchemaError
 from mirror.ingest.images import PlacedImages, Transfer, place_images, refer_to_images
 from mirror.ingest.lidars import write_lidars
 from mirror.ingest.passes import DrivePasses
+from mirror.ingest.references import References
 from mirror.ingest.refusals import refuse_invalid_boxes, refuse_other_image_sizes, refuse_other_mask_size
 from mirror.ingest.staging import Staging
 from mirror.ingest.tables import assign_frames, build_pose_table
@@ -32,7 +33,8 @@ from mirror.recordings.pauses import count_missing_images
 from mirror.recordings.protocol import ImageStream, ReferencedStream, repeated_stamps
 from mirror.recordings.video import CompressedStream
 from mirror.schema.documents import ImageTotals, Roi, is_identifier
-from mirror.schema.files import conform, encode_table, read_table, write_bytes
+from mirror.schema.files import conform, encode_json, encode_table, read_table, write_bytes
+from mirror.schema.references import REFERENCES, ImageReferences
 from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, Table
 
 
@@ -46,6 +48,7 @@ class WriteOptions:
         decoding: decode every image.
         videos: what becomes of the frames of a recorded video: images, or the compressed video of the stretch.
         shards: put images side by side into tar archives, frame by frame, instead of a file each.
+        references: what is kept of images that the recording refers to by uri.
     """
 
     transfer: Transfer = "link"
@@ -53,6 +56,7 @@ class WriteOptions:
     decoding: bool = False
     videos: Literal["jpeg", "video"] = "jpeg"
     shards: bool = False
+    references: References = "size"
 
 
 @dataclass(frozen=True)
@@ -180,7 +184,7 @@ def _write(
 
     def place(stream: ImageStream, indices: Int64, stamps: Int64, folder: Path) -> PlacedImages:
         if isinstance(stream, ReferencedStream):
-            return refer_to_images(stream, indices, advance)
+            return refer_to_images(stream, indices, advance, options.references)
         if options.videos == "video" and isinstance(stream, CompressedStream):
             return place_videos(
                 stream,
@@ -232,6 +236,10 @@ def _write(
     for table, rows in tables:
         files[f"{table.name}.parquet"] = encode_table(rows, table)
         write_bytes(folder / f"{table.name}.parquet", files[f"{table.name}.parquet"])
+    etags = {uri: etag for one_camera in placed.values() for uri, etag in one_camera.etags.items()}
+    if etags:
+        files[REFERENCES] = encode_json(ImageReferences(etags=dict(sorted(etags.items()))))
+        write_bytes(folder / REFERENCES, files[REFERENCES])
     count = sum(len(one_camera.names) for one_camera in placed.values())
     total = sum(one_camera.bytes for one_camera in placed.values())
     seal(folder, files, derived_from=derived_from, images=ImageTotals(count=count, bytes=total))

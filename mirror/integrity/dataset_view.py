@@ -28,6 +28,7 @@ from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, Manifest, Rig, Roi, SplitDocument
 from mirror.schema.files import Model, read_json, read_table
 from mirror.schema.index_tables import ROW_GROUPS
+from mirror.schema.references import REFERENCES, ImageReferences
 from mirror.schema.road_map import RoadMap, read_road_map, require_map_of
 from mirror.schema.snapshot import snapshot_path
 from mirror.schema.tables import PASSES, Table
@@ -282,6 +283,12 @@ class DatasetView:
         if copy.store.folder is not None:
             return cls(copy.layout)
         return cls(copy.layout, copy.store, {name: file.bytes for name, file in copy.files.items()})
+
+    def etags(self, traversal_id: str) -> Mapping[str, str]:
+        """Return the ETags of a traversal's images outside of the dataset, by uri; a broken list counts as none."""
+        path = self.layout.recorded(traversal_id) / REFERENCES
+        found = self._read(path, ImageReferences) if path.is_file() else None
+        return {} if found is None else found.etags
 
     def folders(self, name: str) -> list[Path]:
         """Return the subfolders of a folder of the dataset, sorted, without hidden ones."""

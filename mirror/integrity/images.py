@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from threading import Lock
@@ -15,6 +15,7 @@ from mirror.arrays import Bool, Int64, UInt8
 from mirror.dataset.images.decoding import decode_rgb
 from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.store import Store
+from mirror.dataset.uris import uri_etag
 from mirror.errors import MirrorError
 from mirror.integrity.rows import TableRows
 from mirror.pools import thread_pool, usable_cores
@@ -35,10 +36,12 @@ class ImageFiles:
     Attributes:
         size: (N,) size of the file in bytes; `MISSING`; or `LEAVES_DATASET`: its uri leads out of the dataset.
         ended: (N,) True if a JPEG or PNG has its end marker; True for videos and unreadable files.
+        etag: N tags that stores give to the bytes of images outside of the dataset; None: there is none.
     """
 
     size: Int64
     ended: Bool
+    etag: Sequence[str | None] = ()
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,9 @@ class ImageFileReader:
         """Read the sizes and end markers of the files."""
         found = self._each(self._file)
         return ImageFiles(
-            np.array([size for size, _ in found], np.int64), np.array([ended for _, ended in found], np.bool_)
+            np.array([size for size, _, _ in found], np.int64),
+            np.array([ended for _, ended, _ in found], np.bool_),
+            [etag for _, _, etag in found],
         )
 
     def contents(self, files: ImageFiles) -> ImageContents:
@@ -108,18 +113,19 @@ class ImageFileReader:
         with thread_pool(usable_cores()) as pool:
             return [answer for part in pool.map(lambda rows: [read(row) for row in rows], chunks) for answer in part]
 
-    def _file(self, row: int) -> tuple[int, bool]:
+    def _file(self, row: int) -> tuple[int, bool, str | None]:
         uri, end_of_bytes = self._uri[row], int(self._offset[row] + self._length[row])
         if leaves_dataset(uri):
-            return LEAVES_DATASET, True
+            return LEAVES_DATASET, True, None
         try:
-            size = stored_size(self._store, uri, self._sizes)
+            size, etag = stored_size(self._store, uri, self._sizes)
             if self._codec[row] == "video" or not self._whole(row, size):
-                return size, True
+                return size, True, etag
             tail = min(int(self._length[row]), TAIL_BYTES)
-            return size, has_end_marker(self._store.read_range(uri, end_of_bytes - tail, tail), self._codec[row])
+            ended = has_end_marker(self._store.read_range(uri, end_of_bytes - tail, tail), self._codec[row])
+            return size, ended, etag
         except (OSError, MirrorError):
-            return MISSING, True
+            return MISSING, True, None
 
     def _content(self, row: int) -> tuple[bool, bool, int, int, int]:
         uri, length = self._uri[row], int(self._length[row])
@@ -153,8 +159,8 @@ class ImageFileReader:
             return self._video_sha256[uri] == expected
 
 
-def stored_size(store: Store, uri: str, sizes: Mapping[str, int] | None = None) -> int:
-    """Return the size of the file of a uri in bytes.
+def stored_size(store: Store, uri: str, sizes: Mapping[str, int] | None = None) -> tuple[int, str | None]:
+    """Return the size of the file of a uri in bytes, and the tag that a store gives to its bytes; None: it gives none.
 
     Args:
         store: the dataset's files.
@@ -168,9 +174,12 @@ def stored_size(store: Store, uri: str, sizes: Mapping[str, int] | None = None) 
     if sizes is not None and "://" not in uri and not uri.startswith("/"):
         if uri not in sizes:
             raise FileNotFoundError(uri)
-        return sizes[uri]
+        return sizes[uri], None
     place = store.resolve(uri)
-    return place.stat().st_size if isinstance(place, Path) else int(place[0].info(place[1])["size"])
+    if isinstance(place, Path):
+        return place.stat().st_size, None
+    entry = place[0].info(place[1])
+    return int(entry["size"]), uri_etag(entry)
 
 
 def leaves_dataset(uri: str) -> bool:

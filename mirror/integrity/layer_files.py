@@ -60,6 +60,6 @@ def _size(view: SceneView, uri: str) -> int:
     if leaves_dataset(uri) or "://" in uri:
         return -1
     try:
-        return stored_size(view.dataset.image_store, uri, view.dataset.sizes)
+        return stored_size(view.dataset.image_store, uri, view.dataset.sizes)[0]
     except (OSError, MirrorError):
         return -1

@@ -150,6 +150,11 @@ class SceneView:
                 errors[number] = error
         return made, errors
 
+    @cached_property
+    def etags(self) -> Mapping[str, str]:
+        """ETags of images outside of the dataset, by uri, as they were when they were ingested."""
+        return {uri: etag for item in self.traversals for uri, etag in self.dataset.etags(item.traversal_id).items()}
+
     @property
     def _image_reader(self) -> ImageFileReader:
         return ImageFileReader(self.all_images, self.dataset.image_store, self.dataset.sizes)

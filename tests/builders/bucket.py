@@ -206,6 +206,12 @@ class _Handler(BaseHTTPRequestHandler):
         data = self.bucket.objects.get(key)
         if data is None:
             return 404, b"" if self.command == "HEAD" else _xml("Error", Code="NoSuchKey", Message="no such key"), {}
+        if headers.get("if-match", _etag(data)) != _etag(data):
+            return (
+                412,
+                b"" if self.command == "HEAD" else _xml("Error", Code="PreconditionFailed", Message="changed"),
+                {},
+            )
         common = {"ETag": _etag(data), "Last-Modified": "Wed, 01 Jan 2025 00:00:00 GMT", "Accept-Ranges": "bytes"}
         if "range" not in headers:
             return 200, data, common

@@ -245,6 +245,7 @@ def _images() -> Iterator[Edit]:
     yield of("IMG009", cell(A0, "images", 0, privacy="raw"), file)
     yield of("IMG010", cell(A0, "images", 0, uri="../../etc/passwd"), file)
     yield of("IMG011", key(f"{RECORDED}/{MANIFEST}", pictures={"count": 1, "bytes": 1}), file, "DS007", seal=False)
+    yield of("IMG013", cell(A0, "images", 0, sha256=None), file)
     yield of("IMG012", cell(A0, "images", 0, video_pts=7), file)
 
 

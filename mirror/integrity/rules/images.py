@@ -46,7 +46,7 @@ def _stay(view: SceneView, uris: Sequence[str]) -> list[bool]:
 @scene_rule(
     "IMG002",
     Severity.ERROR,
-    title="An image's file is shorter than its bytes, or, where it holds nothing else, longer.",
+    title="An image's file is shorter than its bytes, or longer where it holds nothing else, or has another ETag.",
     cost=Cost.FILES,
     remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
@@ -61,6 +61,15 @@ def _byte_length(view: SceneView) -> Iterator[Finding]:
     short[long] |= np.array(video, np.bool_) | ~shared
     yield from images.findings(
         short, lambda row: f"{images.text('uri', row)} has {size[row]} bytes; expected {offset[row] + length[row]}"
+    )
+    etags, uris = view.etags, images.data.column("uri").to_pylist() if view.etags else []
+    changed = np.zeros(len(images), np.bool_)
+    changed[: len(uris)] = [
+        uri in etags and found is not None and etags[uri] != found for uri, found in zip(uris, view.image_files.etag)
+    ]
+    yield from images.findings(
+        changed & ~short,
+        lambda row: f"{uris[row]} has the ETag {view.image_files.etag[row]}; expected {etags[uris[row]]}",
     )
 
 
@@ -240,4 +249,18 @@ def _video_stamp(view: SceneView) -> Iterator[Finding]:
     yield from images.findings(
         video != stamped,
         lambda row: f"codec {images.text('codec', row)} {'without' if video[row] else 'with'} video_pts",
+    )
+
+
+@scene_rule(
+    "IMG013",
+    Severity.INFO,
+    title="Images are unverified: their rows have no hash, at most a size or an ETag.",
+    remedy="ingest with --hash; images by uri with `--references sha256`",
+)
+def _unverified(view: SceneView) -> Iterator[Finding]:
+    images = view.images
+    yield from images.findings(
+        ~images.is_known("sha256"),
+        lambda row: f"{images.text('uri', row)} has no SHA-256: unverified",
     )

@@ -25,6 +25,8 @@ LEAST_RAYS: Final = 60
 _WILD_DEG: Final = 3.0
 _SIGMA_DEG: Final = 0.05
 _WORST_PERCENT: Final = 5.0
+_BESIDE: Final = 2
+"""Images of another camera are matched with this many mapped ones before and after."""
 _NEAR: Final = 0.25
 """Images of other cameras join the adjustment within this share of the step between mapped images."""
 
@@ -194,7 +196,7 @@ def _gather(images: UsedImages, found: ImageMap, ego_SE3_camera: Poses, other: O
         turned = matrix_from_quaternion(pose.rotation)[0]
         nearest = int(np.abs(stamps - other.time_ns[number]).argmin())
         pairs = []
-        for place in {nearest, max(nearest - 2, 0), min(nearest + 2, len(stamps) - 1)}:
+        for place in range(max(nearest - _BESIDE, 0), min(nearest + _BESIDE, len(stamps) - 1) + 1):
             points, shown = found.observed[place]
             by_feature = np.full(len(images.features[found.used[place]]), -1, np.int64)
             by_feature[shown] = points

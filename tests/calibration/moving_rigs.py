@@ -44,7 +44,7 @@ def moving_rigs(
     wrong = Poses((turned @ Poses(true.rotation, np.zeros((count, 3)))).rotation, true.translation)
     frame = np.repeat(np.arange(frames), count)
     rigs = MovingRigs(
-        list(CAMERAS.values()), wrong, poses[frame], frame, np.tile(np.arange(count), frames), 0.4 * np.arange(frames),
-        np.zeros(frames, np.int64),
+        list(CAMERAS.values()), wrong, poses[frame], frame, np.tile(np.arange(count), frames),
+        0.4 * np.arange(frames, dtype=np.float64), np.zeros(frames, np.int64),
     )  # fmt: skip
     return rigs, tracks

@@ -49,11 +49,13 @@ class Variant:
     Attributes:
         form: one of `FORMS`.
         skips: whether rows that an image hid are skipped, as on a CPU.
+        dense: whether Adam moves all rows at each step, as on a GPU.
         noise: standard deviation of what is added to the offsets of the first anchors, as a share of their sizes.
     """
 
     form: str = "kernels"
     skips: bool = True
+    dense: bool = False
     noise: float = 0.0
 
 
@@ -103,7 +105,7 @@ def train_street(block: PreparedBlock, variant: Variant, steps: int, seed: int) 
     with FORMS[variant.form]():
         street = initial_street(block.initial, settings)
         add_noise(street.background.offsets, variant.noise, seed)
-        trainer = StreetTrainer(street, settings)
+        trainer = StreetTrainer(street, settings, dense=variant.dense)
         if not variant.skips:
             trainer._visibility = EveryRow()
         stream = stream_images(block.images, block.views, seed, 0)

@@ -15,7 +15,7 @@ from benchmarks.rasterizer.rolling_recorded import PRESET, QUICK, SPLIT, WAYS, c
 from mirror.synth import PRESETS
 from tests.builders.lanes import add_initial_points
 
-SIZE = QUICK._replace(width_px=48, image_hz=0.4, steps=3, initialise="made@1")
+SIZE = QUICK._replace(width_px=48, image_hz=0.25, steps=3, initialise="made@1")
 
 
 @pytest.fixture(autouse=True)

@@ -53,7 +53,7 @@ class CameraCheck:
         source_share: its share of that variance, 0 to 1.
         shutter: direction that the images show; None: they show none.
         readout_ms: readout in that direction, or in the declared one.
-        readout_sigma_ms: its standard deviation.
+        readout_sigma_ms: its standard deviation; None: the tracks have too much noise to show the times.
         offset_ms: how much later than its timestamps the camera exposes.
         offset_sigma_ms: its standard deviation; the offset is known only where the vehicle changes its turn or speed.
         shutter_problem: a declared readout or direction that the images contradict; None: they do not.
@@ -283,8 +283,9 @@ def _camera_check(one: CameraEstimate, stage: str, reason: str | None, shutter: 
         one.camera, stage, tuple(error), tuple(sigma), tuple(one.observable.tolist()), one.angle_deg if known else None,
         status, reason, one.tracks, one.residual_px if one.tracks else None, one.focal.error_percent,
         one.focal.sigma_percent, source=source, source_share=source_share,
-        shutter=shutter.direction, readout_ms=shutter.readout_ms, readout_sigma_ms=shutter.readout_sigma_ms,
-        offset_ms=shutter.offset_ms, offset_sigma_ms=shutter.offset_sigma_ms, shutter_problem=shutter.problem,
+        shutter=shutter.direction, readout_ms=shutter.readout_ms,
+        readout_sigma_ms=_finite(shutter.readout_sigma_ms), offset_ms=shutter.offset_ms,
+        offset_sigma_ms=_finite(shutter.offset_sigma_ms), shutter_problem=shutter.problem,
     )  # fmt: skip
 
 

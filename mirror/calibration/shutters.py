@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.calibration.equations import JointProblem
+from mirror.calibration.equations import JointProblem, Solution
 from mirror.calibration.estimate import TRACKER_BIAS_PX, near_rig
 from mirror.calibration.rig import PosePrior, ScalePrior, TimePrior, TrackedRig
 from mirror.calibration.tracking import pixel_rad
@@ -21,6 +21,8 @@ LEAST_MS: Final = 2.0
 SIGMAS: Final = 4.0
 """A declared readout is wrong if it is this much from the estimate: at least `LEAST_MS`, and `SIGMAS` deviations."""
 
+_DEVIATIONS_A_MEDIAN: Final = 1.4826
+"""Standard deviation of a normal distribution whose absolute values have the median 1."""
 _DOWN: Final[tuple[ShutterDirection, ShutterDirection]] = ("top_to_bottom", "bottom_to_top")
 _RIGHT: Final[tuple[ShutterDirection, ShutterDirection]] = ("left_to_right", "right_to_left")
 
@@ -92,7 +94,10 @@ def estimate_shutters(
         times: errors that the declared times may have; None: the defaults.
 
     Returns:
-        One estimate per camera, in the order of the rig.
+        One estimate per camera, in the order of the rig. Where the tracks of a camera have more noise than the loss
+        expects (`JointProblem.loss_px`, 0.25 px), the scatter of pairs understates the errors of the times: their
+        deviations are infinite, and no problem is named. `mirror calibrate refine` follows features over many images,
+        and holds its intervals there.
 
     Raises:
         UsageError: no pair of images has tracks and motion.
@@ -108,10 +113,17 @@ def estimate_shutters(
     for number, name in enumerate(rig.names):
         columns = problem.time_columns[number]
         values = problem.declared_times[number] + solution.unknowns[columns]
-        bias_s = _tracker_bias_s(rig, name)
+        bias_s = _tracker_bias_s(rig, name) if _noise_px(solution, number) <= problem.loss_px else np.inf
         sigma = np.sqrt(variance[columns] + bias_s**2)
         out.append(describe_times(name, rig.shutter(name), values, sigma))
     return out
+
+
+def _noise_px(solution: Solution, camera: int) -> float:
+    """Return the standard deviation of the tracks of a camera, from the median of their residuals."""
+    problem = solution.problem
+    own = solution.state.residual[problem.camera[problem.rows] == camera]
+    return float(_DEVIATIONS_A_MEDIAN * np.median(np.abs(own))) if len(own) else 0.0
 
 
 def _tracker_bias_s(rig: TrackedRig, name: str) -> float:

@@ -219,7 +219,7 @@ def _print_check(check: CalibrationCheck, out: Path) -> None:
 def _describe_times(one: CameraCheck) -> str:
     """The readout and the time offset of a camera, in words."""
     if one.readout_sigma_ms is None or one.offset_sigma_ms is None:
-        return "readout and time offset: not estimated"
+        return "readout and time offset: not known: much noise in the tracks; see `mirror calibrate refine`"
 
     from mirror.calibration.shutters import say_times
 

@@ -68,6 +68,14 @@ def test_a_wrong_declaration_is_named(rig: TrackedRig) -> None:
     assert right.problem is not None and "declares a global shutter" in right.problem
 
 
+def test_tracks_with_much_noise_name_no_shutter() -> None:
+    """With 0.4 px a third of the errors are beyond two deviations of the scatter, so none is stated."""
+    wrong = {name: shutter(name, "bottom_to_top", 30.0) for name in TRUE}
+    for one in estimate_shutters(replace(rolling_rig(TRUE, offset_ms=6.0, noise_px=0.4), shutters=wrong)):
+        assert not one.readout_known and not one.offset_known
+        assert one.problem is None
+
+
 def test_on_a_straight_road_times_are_intervals(rig: TrackedRig) -> None:
     for one in estimate_shutters(rolling_rig(TRUE, offset_ms=6.0, turning=False)):
         assert not one.offset_known and one.offset_sigma_ms > 5.0

@@ -29,10 +29,10 @@ from mirror.schema.documents import Roi
 from mirror.synth.light.condition import Condition, Effects
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import Label, Material, Model
-from mirror.synth.render.coverage import OFFSETS
 from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.developing import develop
 from mirror.synth.render.lens import Lens, make_lens
+from mirror.synth.render.sample_rays import OFFSETS
 from mirror.synth.render.scene import Instant, Scene
 from mirror.synth.render.view import rasterize_view
 from mirror.synth.render.wet import add_reflections

@@ -10,10 +10,11 @@ from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.compiled import inner_per_pixel
-from mirror.portable import scalars
 from mirror.synth.model.surfaces import MOST_CORNERS
 from mirror.synth.render.binning import fill_ray_tests
 from mirror.synth.render.lens import TILE_PX
+from mirror.synth.render.sample_rays import spread_rays, unit_normal
+from mirror.synth.render.touched_pixels import bound_lines, find_lines, find_rows, list_edges
 
 SKY: Final = -1
 _AREA: Final = TILE_PX * TILE_PX
@@ -25,24 +26,6 @@ _ROUNDING: Final = 4e-6
 """Square of the angle, radians, by which rounding to float32 widens the smallest ellipsoids."""
 _MARGIN: Final = 1e-4
 """Angle, radians, by which rounding to float32 widens a surface at most."""
-_INEXACT: Final = 2e-6
-"""Bound of the rounding to float32 in a dot product of a ray and a unit vector."""
-
-_TURN: Final = scalars.atan(0.5)
-OFFSETS: Final = np.array(
-    [(0.0, 0.0)]
-    + [
-        (
-            scalars.cos(_TURN) * i / 3.0 - scalars.sin(_TURN) * j / 3.0,
-            scalars.sin(_TURN) * i / 3.0 + scalars.cos(_TURN) * j / 3.0,
-        )
-        for i in (-1, 0, 1)
-        for j in (-1, 0, 1)
-        if i or j
-    ],
-    np.float32,
-)
-"""Rays of a pixel: the first passes through its centre and gives the ground truth, the others form a rotated grid."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -123,16 +106,16 @@ def compute_coverage(
         if mask.shape[0] > 0 and not _is_any_set(mask, top, left):
             continue
         counts[0] += 1
-        ax, ay, az, bx, by, bz = _spread_rays(rays, rotation, offsets, top, left, sx, sy, sz)
+        ax, ay, az, bx, by, bz = spread_rays(rays, rotation, offsets, top, left, sx, sy, sz)
         i, j, k = cones[tile, 0], cones[tile, 1], cones[tile, 2]
         cx = rotation[0, 0] * i + rotation[0, 1] * j + rotation[0, 2] * k
         cy = rotation[1, 0] * i + rotation[1, 1] * j + rotation[1, 2] * k
         cz = rotation[2, 0] * i + rotation[2, 1] * j + rotation[2, 2] * k
         sine = cones[tile, 4] if cones[tile, 3] > 0.0 else 2.0
         # The dot products with u of a column's rays, and with v of a row's, lie in intervals.
-        ux, uy, uz = _unit_normal(bx, by, bz, cx, cy, cz)
-        vx, vy, vz = _unit_normal(cx, cy, cz, ax, ay, az)
-        _bound_lines(sx, sy, sz, run, ux, uy, uz, vx, vy, vz, lines)
+        ux, uy, uz = unit_normal(bx, by, bz, cx, cy, cz)
+        vx, vy, vz = unit_normal(cx, cy, cz, ax, ay, az)
+        bound_lines(sx, sy, sz, run, ux, uy, uz, vx, vy, vz, lines)
         wide = spread * (abs(ux * ax + uy * ay + uz * az) + abs(ux * bx + uy * by + uz * bz)) + _MARGIN
         high = spread * (abs(vx * ax + vy * ay + vz * az) + abs(vx * bx + vy * by + vz * bz)) + _MARGIN
         # The lengths of the rays lie within this of 1.
@@ -155,8 +138,8 @@ def compute_coverage(
             square = 2.0 - 2.0 * cosine + (0.0 if order[place] < number else _ROUNDING)
             apart = (1.0 + bend) * math.sqrt(square) if cosine > -1.5 else np.inf
             at_u, at_v = ux * dx + uy * dy + uz * dz, vx * dx + vy * dy + vz * dz
-            start, stop = _find_lines(lines[0], at_u, apart + bend * abs(at_u) + wide)
-            upper, lower = _find_lines(lines[1], at_v, apart + bend * abs(at_v) + high)
+            start, stop = find_lines(lines[0], at_u, apart + bend * abs(at_u) + wide)
+            upper, lower = find_lines(lines[1], at_v, apart + bend * abs(at_v) + high)
             if _is_hidden(reach, nearest[place], start, stop, upper, lower):
                 continue
             first, last = starts[place], starts[place + 1]
@@ -165,11 +148,11 @@ def compute_coverage(
                 filled[place] = 1
             edges = 0
             if order[place] < number:
-                edges = _list_edges(rows, first, last, cx, cy, cz, sine, crossed)
+                edges = list_edges(rows, first, last, cx, cy, cz, sine, crossed)
                 if edges < 0:
                     continue
                 begin, end = upper * TILE_PX, lower * TILE_PX
-                above, below = _find_rows(
+                above, below = find_rows(
                     rows, first, crossed, edges, px[begin:end], py[begin:end], pz[begin:end],
                     ax, ay, az, bx, by, bz, spread, reach[begin:end], ahead,
                 )  # fmt: skip
@@ -238,207 +221,12 @@ def compute_coverage(
 
 
 @inner_per_pixel()
-def _list_edges(
-    rows: Float32, first: int, last: int, cx: float, cy: float, cz: float, sine: float, crossed: Int64
-) -> int:
-    """List the edges of a face that cross a tile; returns their number, or -1 if the tile lies outside an edge.
-
-    A sine above 1 is that of no cone.
-    """
-    edges = 0
-    for edge in range(first + 1, last):
-        out = rows[edge, 0] * cx + rows[edge, 1] * cy + rows[edge, 2] * cz
-        if out < -sine:
-            return -1
-        if out < sine:
-            crossed[edges] = edge
-            edges += 1
-    return edges
-
-
-@inner_per_pixel()
-def _find_rows(
-    rows: Float32, first: int, crossed: Int64, edges: int, px: Float32, py: Float32, pz: Float32,
-    ax: float, ay: float, az: float, bx: float, by: float, bz: float, spread: float, reach: Float32,
-    ahead: Float32,
-) -> tuple[int, int]:  # fmt: skip
-    """Find the rows of pixels that a face may touch, and where rays hit nothing nearer.
-
-    A ray of a pixel is its first one and at most ``spread`` times the steps to its neighbours, so that the dot product
-    with a row of coefficients changes by no more than that.
-
-    Args:
-        rows: coefficients of `binning.fill_ray_tests`.
-        first: first row of the face.
-        crossed: from `_list_edges`.
-        edges: number of edges that cross the tile.
-        px: x of the first rays of the pixels.
-        py: y.
-        pz: z.
-        ax: change of the rays from pixel to pixel, to the right.
-        ay: to the right.
-        az: to the right.
-        bx: downwards.
-        by: downwards.
-        bz: downwards.
-        spread: largest difference of a pixel's offsets from its first, pixels.
-        reach: least inverse distances of the rays of the pixels.
-        ahead: buffer of a number for each pixel.
-
-    Returns:
-        The first row, and the one behind the last; the same if there are none.
-    """
-    a, b, c = rows[first, 0], rows[first, 1], rows[first, 2]
-    slack = spread * (abs(a * ax + b * ay + c * az) + abs(a * bx + b * by + c * bz))
-    more = np.float32(slack + _INEXACT * (abs(a) + abs(b) + abs(c)))
-    count = len(px)
-    for i in range(count):
-        ahead[i] = a * px[i] + b * py[i] + c * pz[i] + more - reach[i]
-    for at in range(edges):
-        a, b, c = rows[crossed[at], 0], rows[crossed[at], 1], rows[crossed[at], 2]
-        slack = spread * (abs(a * ax + b * ay + c * az) + abs(a * bx + b * by + c * bz))
-        more = np.float32(slack + _INEXACT)
-        for i in range(count):
-            ahead[i] = min(ahead[i], a * px[i] + b * py[i] + c * pz[i] + more)
-    upper, lower = 0, count // TILE_PX
-    while upper < lower and not _is_any_ahead(ahead, upper):
-        upper += 1
-    while lower > upper and not _is_any_ahead(ahead, lower - 1):
-        lower -= 1
-    return upper, lower
-
-
-@inner_per_pixel()
-def _is_any_ahead(ahead: Float32, row: int) -> bool:
-    found = 0
-    for column in range(TILE_PX):
-        found |= ahead[row * TILE_PX + column] >= np.float32(0.0)
-    return found > 0
-
-
-@inner_per_pixel()
 def _is_any_set(mask: Float32, top: int, left: int) -> bool:
     for row in range(top, min(top + TILE_PX, mask.shape[0])):
         for column in range(left, min(left + TILE_PX, mask.shape[1])):
             if mask[row, column] > 0.0:
                 return True
     return False
-
-
-@inner_per_pixel()
-def ray_steps(
-    rays: Float64, rotation: Float64, top: int, left: int, bottom: int, right: int
-) -> tuple[float, float, float, float, float, float]:
-    """Return the change of a tile's rays from pixel to pixel, to the right and downwards, in the world frame."""
-    row, column = (top + bottom) // 2, (left + right) // 2
-    over, under = (left, right) if right > left else (max(left - 1, 0), right)
-    above, below = (top, bottom) if bottom > top else (max(top - 1, 0), bottom)
-    wide, high = 1.0 / max(under - over, 1), 1.0 / max(below - above, 1)
-    i, j, k = (
-        rays[row, under, 0] - rays[row, over, 0],
-        rays[row, under, 1] - rays[row, over, 1],
-        rays[row, under, 2] - rays[row, over, 2],
-    )
-    p, q, r = (
-        rays[below, column, 0] - rays[above, column, 0],
-        rays[below, column, 1] - rays[above, column, 1],
-        rays[below, column, 2] - rays[above, column, 2],
-    )
-    return (
-        wide * (rotation[0, 0] * i + rotation[0, 1] * j + rotation[0, 2] * k),
-        wide * (rotation[1, 0] * i + rotation[1, 1] * j + rotation[1, 2] * k),
-        wide * (rotation[2, 0] * i + rotation[2, 1] * j + rotation[2, 2] * k),
-        high * (rotation[0, 0] * p + rotation[0, 1] * q + rotation[0, 2] * r),
-        high * (rotation[1, 0] * p + rotation[1, 1] * q + rotation[1, 2] * r),
-        high * (rotation[2, 0] * p + rotation[2, 1] * q + rotation[2, 2] * r),
-    )
-
-
-@inner_per_pixel()
-def _spread_rays(
-    rays: Float64, rotation: Float64, offsets: Float32, top: int, left: int, sx: Float32, sy: Float32, sz: Float32
-) -> tuple[float, float, float, float, float, float]:
-    """Fill in the tile's rays in the world frame; the lens is taken as linear within a pixel.
-
-    Row by row, and in a row sample by sample, so that the rays of some rows follow each other.
-
-    Returns:
-        The change of the rays from pixel to pixel, to the right and downwards.
-    """
-    height, width = rays.shape[:2]
-    bottom, right = min(top + TILE_PX, height) - 1, min(left + TILE_PX, width) - 1
-    ax, ay, az, bx, by, bz = ray_steps(rays, rotation, top, left, bottom, right)
-    run = len(offsets) * TILE_PX
-    for pixel in range(_AREA):
-        row, column = min(top + pixel // TILE_PX, bottom), min(left + pixel % TILE_PX, right)
-        a, b, c = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]
-        at = pixel // TILE_PX * run + pixel % TILE_PX
-        sx[at] = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
-        sy[at] = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
-        sz[at] = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
-    # The first sample comes last, because the other samples start from the values at the pixel centres.
-    for sample in range(len(offsets) - 1, -1, -1):
-        u, v = offsets[sample, 0], offsets[sample, 1]
-        x = np.float32(u * ax + v * bx)
-        y = np.float32(u * ay + v * by)
-        z = np.float32(u * az + v * bz)
-        for row in range(TILE_PX):
-            centre, first = row * run, row * run + sample * TILE_PX
-            for column in range(TILE_PX):
-                sx[first + column] = sx[centre + column] + x
-                sy[first + column] = sy[centre + column] + y
-                sz[first + column] = sz[centre + column] + z
-    return ax, ay, az, bx, by, bz
-
-
-@inner_per_pixel()
-def _unit_normal(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> tuple[float, float, float]:
-    """Return the unit vector perpendicular to two vectors; 0 if they are parallel."""
-    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    size = math.sqrt(x * x + y * y + z * z)
-    scale = 1.0 / size if size > 0.0 else 0.0
-    return scale * x, scale * y, scale * z
-
-
-@inner_per_pixel()
-def _bound_lines(
-    sx: Float32, sy: Float32, sz: Float32, run: int, ux: float, uy: float, uz: float, vx: float, vy: float, vz: float,
-    lines: Float64,
-) -> None:  # fmt: skip
-    """Bound the dot products of the first rays of pixels with u in each column, and with v in each row.
-
-    Args:
-        sx: x of the rays of a tile.
-        sy: y.
-        sz: z.
-        run: number of rays in a row.
-        ux: x of u.
-        uy: y of u.
-        uz: z of u.
-        vx: x of v.
-        vy: y of v.
-        vz: z of v.
-        lines: (2, 2, TILE_PX) output: least and greatest in each column, and in each row.
-    """
-    for line in range(TILE_PX):
-        lines[0, 0, line], lines[0, 1, line], lines[1, 0, line], lines[1, 1, line] = np.inf, -np.inf, np.inf, -np.inf
-    for row in range(TILE_PX):
-        for column in range(TILE_PX):
-            i = row * run + column
-            u, v = ux * sx[i] + uy * sy[i] + uz * sz[i], vx * sx[i] + vy * sy[i] + vz * sz[i]
-            lines[0, 0, column], lines[0, 1, column] = min(lines[0, 0, column], u), max(lines[0, 1, column], u)
-            lines[1, 0, row], lines[1, 1, row] = min(lines[1, 0, row], v), max(lines[1, 1, row], v)
-
-
-@inner_per_pixel()
-def _find_lines(bounds: Float64, at: float, apart: float) -> tuple[int, int]:
-    """Return the first line with a dot product within ``apart`` of ``at``, and the one behind the last."""
-    start, stop = 0, TILE_PX
-    while start < stop and bounds[1, start] < at - apart:
-        start += 1
-    while stop > start and bounds[0, stop - 1] > at + apart:
-        stop -= 1
-    return start, stop
 
 
 @inner_per_pixel()

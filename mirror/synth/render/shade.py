@@ -16,10 +16,11 @@ from mirror.synth.model import Material
 from mirror.synth.render.appearance import image_surface, lamp_surface, plain_surface
 from mirror.synth.render.bodywork import bodywork
 from mirror.synth.render.carriageway import carriageway
-from mirror.synth.render.coverage import SKY, ray_steps
+from mirror.synth.render.coverage import SKY
 from mirror.synth.render.facades import facade, shopfront, skyline, wall_grain
 from mirror.synth.render.lens import TILE_PX
 from mirror.synth.render.point_lighting import shade_point
+from mirror.synth.render.sample_rays import ray_steps
 from mirror.synth.textures.catalogue import Grain
 from mirror.synth.textures.sampling import grain_at, image_at
 

@@ -13,8 +13,9 @@ from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.portable import arrays
 from mirror.synth.model import Label
 from mirror.synth.render.binning import build_tile_lists, find_facing
-from mirror.synth.render.coverage import OFFSETS, SKY, compute_coverage
+from mirror.synth.render.coverage import SKY, compute_coverage
 from mirror.synth.render.lens import Lens
+from mirror.synth.render.sample_rays import OFFSETS
 from mirror.synth.render.shade import render_radiance
 from mirror.synth.render.surroundings import Surroundings
 from mirror.synth.street.houses.windows import pattern_table

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from collections.abc import Collection
@@ -22,7 +21,7 @@ from mirror.dataset.store import Store
 from mirror.dataset.take_down import list_places, purge_images
 from mirror.dataset.taken_down import encode_public_take_downs, group_by_traversal, read_take_downs
 from mirror.dataset.writing import is_to_be_indexed
-from mirror.errors import UsageError
+from mirror.errors import DatasetError, UsageError
 from mirror.export.croissant import Publication, write_croissant
 from mirror.export.datasheet import write_datasheet
 from mirror.export.publish import CROISSANT, DATASHEET, add_file
@@ -30,6 +29,7 @@ from mirror.schema.bundle import BUNDLE, PUBLISHING, Bundle
 from mirror.schema.documents import FileEntry
 from mirror.schema.files import encode_json, read_json, remove_temporaries, write_bytes
 from mirror.schema.links import require_inside
+from mirror.schema.strict_json import JsonError, decode_json
 from mirror.schema.take_downs import TAKE_DOWNS, TakeDowns
 
 _CONTACT: Final = re.compile(r"^## Contact\n\n(.+)$", re.MULTILINE)
@@ -122,7 +122,13 @@ def _named(layout: Layout, gone: dict[str, frozenset[tuple[str, int]]]) -> set[s
 def _seal(folder: Path, bundle: Bundle, changed: set[str]) -> None:
     """Write the document of a published dataset for its present files."""
     dataset = open_dataset(folder)
-    old: dict[str, Any] = json.loads((folder / CROISSANT).read_text())
+    try:
+        old: dict[str, Any] = decode_json((folder / CROISSANT).read_bytes())
+    except JsonError as error:
+        raise DatasetError(
+            str(error), file=folder / CROISSANT, expected="the document that was published",
+            remedy="publish the dataset again: `mirror dataset publish`",
+        ) from error  # fmt: skip
     datasheet = (folder / DATASHEET).read_text()
     files = {name: entry for name, entry in bundle.files.items() if not name.startswith("index/")}
     index = (path.relative_to(folder).as_posix() for path in (folder / "index").rglob("*") if path.is_file())

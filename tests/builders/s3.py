@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.builders.bucket import ENVIRONMENT, Bucket, serving
+from tests.builders.bucket import BUCKET, ENVIRONMENT, Bucket, serving
 
 
 @contextmanager
@@ -31,3 +31,24 @@ def served_bucket() -> Iterator[Bucket]:
     """Serve an empty bucket and let the toolkit reach it."""
     with serving() as bucket, reached_by_environment(bucket.endpoint):
         yield bucket
+
+
+@contextmanager
+def moto_bucket() -> Iterator[None]:
+    """Serve an empty bucket by another implementation of S3, moto, and let the toolkit reach it."""
+    moto_server = pytest.importorskip("moto.server", reason="needs moto[s3], flask and flask-cors")
+    from moto.backends import get_backend
+
+    server = moto_server.ThreadedMotoServer(port=0, verbose=False)
+    server.start()
+    try:
+        # Servers of one process share their buckets.
+        get_backend("s3").reset()
+        host, port = server.get_host_and_port()
+        with reached_by_environment(f"http://{host}:{port}"):
+            import s3fs
+
+            s3fs.S3FileSystem().mkdir(BUCKET)
+            yield
+    finally:
+        server.stop()

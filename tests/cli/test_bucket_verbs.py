@@ -25,7 +25,7 @@ from mirror.privacy.options import DeidentifyOptions
 from mirror.privacy.run import deidentify
 from tests.builders.bucket import BUCKET, Bucket
 from tests.builders.folder import SCENE, START_NS, write_recording
-from tests.builders.s3 import reached_by_environment, served_bucket
+from tests.builders.s3 import moto_bucket, served_bucket
 
 URL = f"s3://{BUCKET}/street"
 LEASE = "street/.lease.json"
@@ -152,27 +152,19 @@ def test_gc_removes_from_a_bucket_what_it_removes_from_a_folder(
 def test_gc_keeps_what_is_young_in_another_implementation_of_s3(
     grown: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    moto_server = pytest.importorskip("moto.server", reason="needs moto[s3], flask and flask-cors")
-    server = moto_server.ThreadedMotoServer(port=0, verbose=False)
-    server.start()
-    try:
-        host, port = server.get_host_and_port()
-        with reached_by_environment(f"http://{host}:{port}"):
-            import s3fs
+    with moto_bucket():
+        import s3fs
 
-            remote = s3fs.S3FileSystem()
-            remote.mkdir(BUCKET)
-            for path in grown.rglob("*"):
-                if path.is_file():
-                    remote.pipe_file(f"{BUCKET}/street/{path.relative_to(grown).as_posix()}", path.read_bytes())
-            assert say(capsys, "index", URL, "--compact")[1]["segments"] == 1
-            assert say(capsys, "dataset", "gc", URL, "--older-than-days", "0.5")[1]["bytes"] == 0
-            done = say(capsys, "dataset", "gc", URL, "--older-than-days", "0")[1]
-            assert (done["snapshots"], done["traversals"]) == ([1, 2], ["street.gone.1"])
-            assert not [rule.rule_id for rule, _ in check(URL, only=["FIL", "IDX"], cost=Cost.IMAGES).findings]
-            assert say(capsys, "info", URL)[1]["drives"] == 2
-    finally:
-        server.stop()
+        remote = s3fs.S3FileSystem()
+        for path in grown.rglob("*"):
+            if path.is_file():
+                remote.pipe_file(f"{BUCKET}/street/{path.relative_to(grown).as_posix()}", path.read_bytes())
+        assert say(capsys, "index", URL, "--compact")[1]["segments"] == 1
+        assert say(capsys, "dataset", "gc", URL, "--older-than-days", "0.5")[1]["bytes"] == 0
+        done = say(capsys, "dataset", "gc", URL, "--older-than-days", "0")[1]
+        assert (done["snapshots"], done["traversals"]) == ([1, 2], ["street.gone.1"])
+        assert not [rule.rule_id for rule, _ in check(URL, only=["FIL", "IDX"], cost=Cost.IMAGES).findings]
+        assert say(capsys, "info", URL)[1]["drives"] == 2
 
 
 @pytest.mark.parametrize(

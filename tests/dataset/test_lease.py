@@ -23,7 +23,7 @@ from mirror.dataset.migration import migrate
 from mirror.errors import DatasetError, UsageError
 from tests.builders.bucket import BUCKET, Bucket
 from tests.builders.dataset import write_two_drives
-from tests.builders.s3 import reached_by_environment, served_bucket
+from tests.builders.s3 import moto_bucket, served_bucket
 from tests.processes import Running
 
 URL = f"s3://{BUCKET}/street"
@@ -170,24 +170,13 @@ def test_a_bucket_is_asked_under_conditions_alone(bucket: Bucket, request: pytes
 
 
 def test_another_implementation_of_s3_holds_leases() -> None:
-    moto_server = pytest.importorskip("moto.server", reason="needs moto[s3], flask and flask-cors")
-    server = moto_server.ThreadedMotoServer(port=0, verbose=False)
-    server.start()
-    try:
-        host, port = server.get_host_and_port()
-        with reached_by_environment(f"http://{host}:{port}"):
-            import s3fs
-
-            # Servers of one process share their buckets.
-            s3fs.S3FileSystem().mkdir("leases")
-            place = BucketDestination("s3://leases/street")
-            for _ in range(2):
-                with hold_lease(place, "gc") as lease:
-                    lease.require()
-                    with pytest.raises(DatasetError, match="for gc"), hold_lease(place, "again"):
-                        pass
-    finally:
-        server.stop()
+    with moto_bucket():
+        place = BucketDestination("s3://fleet/street")
+        for _ in range(2):
+            with hold_lease(place, "gc") as lease:
+                lease.require()
+                with pytest.raises(DatasetError, match="for gc"), hold_lease(place, "again"):
+                    pass
 
 
 def test_a_lease_that_was_renewed_meanwhile_is_not_taken_over(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import mirror
 from mirror.synth import SynthReport
-from tests.builders.s3 import reached_by_environment
+from tests.builders.s3 import moto_bucket
 from tests.executors.ray_clusters import cluster_environment
 from tests.tutorial_pages import follow
 
@@ -23,7 +23,6 @@ def hash_images(address: str) -> list[bytes]:
 def test_all_ways_lead_to_one_dataset(
     tiny_recordings: SynthReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    moto_server = pytest.importorskip("moto.server", reason="needs moto[s3], flask and flask-cors")
     monkeypatch.chdir(tmp_path)
 
     def copy_recordings() -> None:
@@ -32,26 +31,17 @@ def test_all_ways_lead_to_one_dataset(
     (tmp_path / "home").mkdir()
     for name, value in cluster_environment(tmp_path / "home").items():
         monkeypatch.setenv(name, value)
-    server = moto_server.ThreadedMotoServer(port=0, verbose=False)
-    server.start()
-    try:
-        host, port = server.get_host_and_port()
-        with reached_by_environment(f"http://{host}:{port}"):
-            import s3fs
-
-            s3fs.S3FileSystem().mkdir("fleet")
-            printed = follow(
-                "tutorials/cluster.md",
-                shorter={},
-                stand_ins={"synth": copy_recordings},
-                # Ray leaves threads in a process.
-                apart=["ray"],
-                capsys=capsys,
-            )
-            # Its images lie in archives, so that their rows have other places; their bytes are the same.
-            assert hash_images("s3://fleet/street") == hash_images("dataset")
-    finally:
-        server.stop()
+    with moto_bucket():
+        printed = follow(
+            "tutorials/cluster.md",
+            shorter={},
+            stand_ins={"synth": copy_recordings},
+            # Ray leaves threads in a process.
+            apart=["ray"],
+            capsys=capsys,
+        )
+        # Its images lie in archives, so that their rows have other places; their bytes are the same.
+        assert hash_images("s3://fleet/street") == hash_images("dataset")
     ways = [line for line in printed if "ingest recordings" in line]
     assert [word for line in ways for word in ("processes", "ray", "s3://fleet/street") if word in line.split()] == [
         "processes", "ray", "s3://fleet/street"

@@ -21,7 +21,7 @@ from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
 from tests.builders.bucket import BUCKET, Bucket
 from tests.builders.folder import SCENE, START_NS, tree, write_recording
-from tests.builders.s3 import reached_by_environment, served_bucket
+from tests.builders.s3 import moto_bucket, served_bucket
 from tests.ingest import hooks
 
 OUT = f"s3://{BUCKET}/street"
@@ -162,26 +162,16 @@ def test_opening_asks_at_most_ten_times_with_four_thousand_snapshots(fleet: list
 def test_another_implementation_of_s3_gives_the_same_dataset(
     fleet: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    moto_server = pytest.importorskip("moto.server", reason="needs moto[s3], flask and flask-cors")
-    server = moto_server.ThreadedMotoServer(port=0, verbose=False)
-    server.start()
-    try:
-        host, port = server.get_host_and_port()
-        with reached_by_environment(f"http://{host}:{port}"):
-            import s3fs
-
-            s3fs.S3FileSystem().mkdir(BUCKET)
-            place = f"{SCENE.longitude_deg},{SCENE.latitude_deg},60,street"
-            words = ["ingest", str(fleet[0]), "--roi", place, "--images", "shards", "--out"]
-            assert (
-                main([*words[:-1], "--executor", "processes", "--workers", "1", "--out", OUT]) == 0
-                and main([*words, str(tmp_path / "folder")]) == 0
-            )
-            assert "s3://fleet/street" in capsys.readouterr().out
-            assert main([*words, OUT]) == 0
-            assert "1 unchanged drives were skipped" in capsys.readouterr().out
-            assert mirror.open(OUT).index_sha256 == mirror.open(tmp_path / "folder").index_sha256
-            image = mirror.open(OUT).frames()[5].images["rear"]
-            assert image.decode(verify=True).shape == (48, 64, 3)
-    finally:
-        server.stop()
+    with moto_bucket():
+        place = f"{SCENE.longitude_deg},{SCENE.latitude_deg},60,street"
+        words = ["ingest", str(fleet[0]), "--roi", place, "--images", "shards", "--out"]
+        assert (
+            main([*words[:-1], "--executor", "processes", "--workers", "1", "--out", OUT]) == 0
+            and main([*words, str(tmp_path / "folder")]) == 0
+        )
+        assert "s3://fleet/street" in capsys.readouterr().out
+        assert main([*words, OUT]) == 0
+        assert "1 unchanged drives were skipped" in capsys.readouterr().out
+        assert mirror.open(OUT).index_sha256 == mirror.open(tmp_path / "folder").index_sha256
+        image = mirror.open(OUT).frames()[5].images["rear"]
+        assert image.decode(verify=True).shape == (48, 64, 3)

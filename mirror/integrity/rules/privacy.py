@@ -87,8 +87,9 @@ def _metadata(view: SceneView) -> Iterator[Finding]:
         if not isinstance(place, Path) or not place.is_file():
             continue
         try:
-            found = list_metadata(store.read_range(uri, int(offset[row]), int(length[row])), uri)
-        except MirrorError:
+            size = min(int(length[row]), place.stat().st_size)
+            found = list_metadata(store.read_range(uri, int(offset[row]), size), uri)
+        except (OSError, MirrorError):
             # The rules of IMG name the fault.
             continue
         bad[row], held[row] = bool(found), ", ".join(found)

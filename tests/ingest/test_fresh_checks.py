@@ -28,8 +28,8 @@ pytest.importorskip("ncore", reason="needs the extra ncore")
 
 STORAGES = get_args(get_type_hints(WriteOptions)["videos"])
 # Facts of the fixtures: a video that ends before its drive, a box beside the road that no camera sees, a mounting
-# without covariance.
-EXPECTED = {"TIM006", "BOX003", "CAM014"}
+# without covariance, lidar sweeps without files.
+EXPECTED = {"TIM006", "BOX003", "CAM014", "LID001"}
 
 
 def test_every_reader_has_a_fixture() -> None:

@@ -110,8 +110,9 @@ class Arguments:
     """Form of the stored images. jpeg: a file each, also frames of recorded videos. video: those as the recording's own
     compressed video. shards: side by side in tar archives of 64 MiB, frame by frame."""
     references: Literal["size", "etag", "sha256"] = "size"
-    """What is kept of images that a recording refers to by uri. size: as it states them. etag: also the tags of their
-    store, by a request an image. sha256: hashes of their bytes, which are transferred once."""
+    """What the dataset keeps of images that a recording refers to by uri. size: their sizes, as the recording states
+    them. etag: also the tags of their store, by a request an image. sha256: hashes of their bytes, which
+    are transferred once."""
     workers: Annotated[int | None, help_text(default="one a core, or as many as a cluster has room for")] = None
     """Number of threads, or of workers of an executor."""
     executor: tyro.conf.OmitArgPrefixes[ExecutorArguments] = field(default_factory=ExecutorArguments)

@@ -1,4 +1,4 @@
-"""The one file of a lease, in a folder or a bucket: it is created, replaced and removed under conditions only.
+"""Creates, replaces and removes the file of a lease, in a folder or a bucket, under conditions only.
 
 In a folder it is created by a hard link. Its holder writes to the file that it created, never to the name; whoever
 takes it over renames it away, reads it again, and puts it back if its holder has renewed it meanwhile. In a bucket,

@@ -1,4 +1,4 @@
-"""What is kept of images that a recording refers to by uri: their sizes, also their ETags, or hashes of their bytes.
+"""Keeps sizes, ETags or hashes of images that a recording refers to by uri.
 
 None of them is copied. Hashes take a transfer of all bytes, once; ETags take a request an image and no transfer.
 """
